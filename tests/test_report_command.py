@@ -149,7 +149,7 @@ def test_the_page_of_all_runs(
         f"Runs of {root.name}",
         f"python -m experiments.report {root.name} --quick",
         "Intervals were not computed",
-        "1 run folder is damaged and is left out",
+        "1 run folder is damaged and is omitted",
         broken.relative_to(root).as_posix(),
         "sample_tir",
         "least squares",

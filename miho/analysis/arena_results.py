@@ -51,7 +51,7 @@ WITHIN = (1.0, 2.0, 10.0, 100.0)
 LOSSES_ONLY = "miho_qn"
 """The tested method for models that give only losses; it does not count as its rival."""
 CLOSE = 1.2
-"""Ratio of evaluations to the best rival up to which a method counts as close."""
+"""Largest ratio of evaluations to the best rival for a method that counts as close."""
 PAGE = 18
 """Problems per page: the largest number of readable columns of running times."""
 CAPTIONS = {
@@ -90,7 +90,7 @@ class TooFewError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class ArenaResults:
-    """Numbers behind the tables and figures of an arena.
+    """Numbers of the tables and figures of an arena.
 
     Attributes
     ----------
@@ -335,7 +335,7 @@ def separation(tests: pd.DataFrame) -> dict[str, int]:
 
 
 def lead(table: pd.DataFrame) -> dict[str, int]:
-    """Number of problems of `best_rivals` on which the method is ahead of the best rival."""
+    """Number of problems of `best_rivals` where the method is ahead of the best rival."""
     evaluations, seconds = (table[name] for name in table.columns if name.startswith("share"))
     return {
         "ahead": int((evaluations < 1).sum()),

@@ -94,7 +94,7 @@ def summary(
 
 
 def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.DataFrame:
-    """Position at which each run first has an error of at most `target`; inf if never.
+    """First position of each run with an error of at most `target`; inf if there is none.
 
     `target` is a number or an array (rows,), in the unit of the curves. The result has a row for
     each run in `curves`, so runs without rows are missing: see `tidy.with_silent_runs`. The columns

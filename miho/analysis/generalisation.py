@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from miho.analysis.curves import Array
 
 NEAR = 0.8
-"""Share of its peak from which a curve counts as near the peak."""
+"""Smallest share of the peak that counts as near the peak."""
 RESAMPLES = 2000
 
 

@@ -58,7 +58,7 @@ def undisturbed(runs: pd.DataFrame) -> pd.Series[bool]:
 
 
 def clock_of(runs: pd.DataFrame) -> Clock:
-    """The clock on which these runs may be compared.
+    """The clock for comparing these runs.
 
     These are wall seconds of the undisturbed seeds, if they are more than `QUIET_SHARE` of the
     seeds of every problem; else CPU seconds of all runs, which other work hardly changes.

@@ -64,7 +64,7 @@ def test_a_script_has_the_report_as_page_tables_and_parameters(tmp_path: Path) -
 
 
 def test_a_script_has_the_page_of_all_runs(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="holds no finished run"):
+    with pytest.raises(ValueError, match="has no finished run"):
         save_sweep_page(tmp_path)
     environment = tmp_path / "runs"
     for seed in range(2):

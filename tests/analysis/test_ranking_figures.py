@@ -69,7 +69,7 @@ def test_a_bar_joins_the_rows_of_a_clique() -> None:
 
 
 def test_a_clique_of_strangers_is_refused() -> None:
-    with pytest.raises(ValueError, match="holds a method without a rank"):
+    with pytest.raises(ValueError, match="has a method without a rank"):
         plot_cliques(RANKS, [("miho", "tpe")], Figure().subplots())
 
 

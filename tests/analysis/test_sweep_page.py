@@ -126,7 +126,7 @@ def test_many_methods_open_with_the_best() -> None:
     runs, curves = arena(methods(14), problems=2, seeds=3)
     html = sweep_page(sweep_of(runs, curves), Contents("Arena"), {})
     Checker(html)
-    assert "Of 14 methods the best 10 are shown at first" in html
+    assert "Initially the best 10 of 14 methods are shown" in html
     assert len(embedded(html, "about")["shown"]) == 10  # type: ignore[arg-type]
     assert 'id="curves-1"' in html
     assert 'aria-pressed="true">median</button>' in html
@@ -137,7 +137,7 @@ def test_many_methods_open_with_the_best() -> None:
 
 def test_seeds_are_thinned_and_the_page_says_so() -> None:
     html = page_of_fig6(seeds=40)
-    assert "Of 40 seeds at most 30 are drawn one by one" in html
+    assert "At most 30 of 40 seeds are drawn separately" in html
     axes: dict[str, dict[str, list[dict[str, list[str]]]]] = embedded(html, "curves-0")["axes"]  # type: ignore[assignment]
     assert len(axes["seconds"]["curves"][0]["seeds"]) == 30
     assert len(without_library(html)) < 500_000
@@ -189,7 +189,7 @@ def test_without_the_chart_library_the_page_has_figures_and_no_script(
     assert "default-src 'none'; img-src data:" in html
     (picture,) = [at["src"] for tag, at in checker.tags if tag == "img"]
     assert str(picture).startswith("data:image/png;base64,iVBOR")
-    assert "pip install vl-convert-python and report again" in html
+    assert "pip install vl-convert-python and create the report again" in html
     assert "://" not in html
 
 

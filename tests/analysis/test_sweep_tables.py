@@ -67,9 +67,7 @@ def test_what_is_behind_the_names() -> None:
 
 def test_nothing_to_warn_of_but_unwatched_seconds() -> None:
     runs, curves = like_fig6(seeds=5)
-    assert warnings(sweep_of(runs, curves)) == [
-        "Seconds: other work on the machine is unknown."
-    ]
+    assert warnings(sweep_of(runs, curves)) == ["Seconds: other work on the machine is unknown."]
     assert warnings(sweep_of(runs.assign(timing_valid=True), curves)) == []
 
 

@@ -31,7 +31,7 @@ class MeanCurve:
     Attributes
     ----------
     at : ndarray, shape (t,)
-        All positions at which any run improves, increasing.
+        All positions where any run improves, increasing.
     errors : ndarray, shape (n, t)
         Best errors so far; inf before the first value, so that the mean is inf as well.
     ends : ndarray, shape (n,)
@@ -180,7 +180,7 @@ def ratio_of_means(
 def time_to_target(
     curve: MeanCurve, target: float, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """Position at which the mean curve is first at most `target`, in the unit of its axis.
+    """First position where the mean curve is at most `target`, in the unit of its axis.
 
     If it never is, the result is [earliest end of a cut run, inf], or inf if all runs had finished.
     """

@@ -1,4 +1,4 @@
-"""The claims of the paper's comparison under different readings of what it does not specify."""
+"""The claims of the paper's comparison under different readings of unspecified settings."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Reading:
-    """A reading of what the paper does not specify (Sec. V-A.3).
+    """A reading of the settings that the paper does not specify (Sec. V-A.3).
 
     Attributes
     ----------

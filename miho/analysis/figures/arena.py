@@ -1,4 +1,4 @@
-"""Many methods on many problems: errors, shares of targets reached, and expected running times."""
+"""Figures of many methods on many problems: errors, targets reached and running times."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from miho.analysis.timing import Clock
 COLUMNS = 4
 GAP_FLOOR = 1e-6
 GAP_CEILING = 1e3
-"""Widest range of the relative gap that is drawn: below it sums of the loss differ between methods,
-above it a curve says only that it has not begun."""
+"""Limits of the relative gap that is drawn. Below them sums of the loss differ between methods;
+above them a curve has not begun to improve."""
 QUANTILES = (0.1, 0.5, 0.9)
 
 
@@ -50,10 +50,10 @@ def error_curves(
 ) -> Figure:
     """Relative gap to the best known error over the axis: a panel per problem, all on one scale.
 
-    Lines are medians over repetitions; those to highlight (default: `styles.MAIN`) are in colour
-    and have a band from the 10 % to the 90 % quantile, the others are grey. A problem without a
-    known optimum is measured against the best error of all its runs (`running_time.references`)
-    and has a star.
+    Lines are medians over repetitions. Highlighted methods (default: `styles.MAIN`) are in colour
+    and have a band from the 10 % to the 90 % quantile; the others are grey. A problem without a
+    known optimum is compared with the best error of all its runs (`running_time.references`) and
+    marked with a star.
     """
     runs, curves = comparison(runs, curves)
     best_known = references(runs)
@@ -72,7 +72,7 @@ def error_curves(
             plot_gap(of_problem, curves[curves["problem"] == problem], axis, ax, best, grid, styles)
             title = textwrap.fill(f"{problem} *" if problem in starred else problem, 27)
             ax.set_title(title, loc="left", fontsize=8)
-        low, high = panels[0].get_ylim()  # of the curves in all panels
+        low, high = panels[0].get_ylim()  # limits of the curves in all panels
         panels[0].set_ylim(low, min(high, GAP_CEILING))
         for ax in panels[len(problems) :]:
             ax.remove()
@@ -100,9 +100,9 @@ def plot_gap(
 ) -> Axes:
     """error / `best` - 1 of one problem on `grid`, on two logarithmic scales, clipped to the range.
 
-    A run without a value counts as infinitely bad, so a median begins where more than half of
-    the runs have one, and a band where more than 90 % have. A line ends where the method's last
-    run ended.
+    A run without a value counts as infinitely bad, so a median begins when more than half of the
+    runs have a value, and a band when more than 90 % have one. A line ends with the method's last
+    run.
     """
     gaps = {key: rows / best - 1 for key, rows in _errors(runs, curves, axis, grid).items()}
     ends = runs.groupby("optimizer")[axis].max()
@@ -133,9 +133,9 @@ def ecdf_figure(
 ) -> Figure:
     """Share of all (problem, repetition, target) reached, over evaluations and over time.
 
-    Frames hold optimizer, the axis and share (runtime distributions as in COCO). The share of
-    each method at the end of its evaluations stands at the right. The axis of `over_time` is that
-    of the clock, which says which runs are left out.
+    The frames have the columns optimizer, the axis and share (runtime distributions as in COCO).
+    The share of each method at the end of its evaluations is printed at the right. The axis of
+    `over_time` is the axis of the clock, whose note says which runs are excluded.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
@@ -159,8 +159,9 @@ def profiles_figure(
 ) -> Figure:
     """Data profile (More and Wild 2009) and performance profile (Dolan and More 2002).
 
-    Frames hold optimizer, kappa or tau, and share. kappa counts evaluations per (d + 1); tau is
-    the ratio to the best method of each problem. The shares at the right end are written out.
+    The frames have the columns optimizer, kappa or tau, and share. kappa counts evaluations per (d
+    + 1); tau is the ratio to the best method of each problem. The shares at the right end are
+    printed.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
@@ -197,9 +198,9 @@ def plot_shares(
 def label_shares(
     frame: pd.DataFrame, x: str, ax: Axes, *, highlight: Collection[str] | None = None
 ) -> None:
-    """The last share of each method, with its name, beside the right edge of its panel.
+    """Print the last share of each method and its name at the right edge of its panel.
 
-    Of equal ones the method with the larger mean share, which was there earlier, stands higher.
+    Of equal shares the method with the larger mean share, which reached it earlier, is higher.
     """
     shares = frame.sort_values(x, kind="stable").groupby("optimizer")["share"]
     last, mean = shares.last(), shares.mean()
@@ -214,7 +215,7 @@ def label_shares(
 def _errors(
     runs: pd.DataFrame, curves: pd.DataFrame, axis: Axis, grid: Array
 ) -> dict[str, NDArray[np.float64]]:
-    """Errors (n, g) of each method's n runs on the grid; inf where a run has no value yet."""
+    """Errors (n, g) of each method's n runs on the grid; inf before a run has a value."""
     at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
     rows = curves.groupby("id").indices
     no_value = np.full(grid.size, np.inf)
@@ -227,7 +228,7 @@ def _errors(
 
 
 def _legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
-    """One legend above the panels: the methods in the foreground, and the rest as one."""
+    """One legend above the panels: the methods in the foreground, and the others together."""
     front = [style for style in styles.values() if style != style.muted]
     back = [style for style in styles.values() if style == style.muted]
     handles = [Line2D([], [], label=style.name, **style.line) for style in front]
@@ -244,7 +245,7 @@ def _powers_of_ten(axis: XAxis | YAxis) -> None:
 
 ROW = 0.27  # inches per method, two lines of text
 LETTER = 0.075  # inches of 8 pt text
-PALEST = 3.15  # log10 of the ratio, so that 1000 is still told from white
+PALEST = 3.15  # log10 of the ratio, so that 1000 differs visibly from white
 DARK_UP_TO = 16.0
 
 
@@ -258,10 +259,28 @@ def ert_table(
 ) -> Figure:
     """Expected running time to `factor` times the optimum, by method and problem.
 
-    Frame: as from `expected_running_time`. `order` (optimizer, rank) orders the methods and is
-    printed, such as the ranks of the leaderboard; by default the ranks of the running times, of
-    which all that are infinite on a problem share the last. Darker is faster, and the last line is
-    what the best method of each problem needs, in the unit of `axis`.
+    Darker cells are faster, and the last line is the cost of the best method of each problem, in
+    the unit of `axis`.
+
+    Parameters
+    ----------
+    ert : DataFrame
+        As from `expected_running_time`.
+    factor : float
+        Target, as a multiple of the optimum.
+    axis : str
+        Unit of the running times.
+    order : DataFrame, optional
+        Optimizer and rank, which order the methods and are printed, for example the ranks of the
+        leaderboard. By default the ranks of the running times; infinite times on a problem share
+        the last rank.
+    note : str
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        The table.
     """
     rows = at_factor(ert, factor)
     methods = rows["optimizer"].nunique()
@@ -273,7 +292,7 @@ def ert_table(
         bar = figure.colorbar(mesh, ax=ax, orientation="horizontal", aspect=50, pad=0.02)
         bar.set_label(f"expected {axis} to {factor:g} times the optimum / the best method's")
         bar.set_ticks([0, 1, 2, 3], labels=["1", "10", "100", "1000 or more"])
-        text = "small: share of runs that arrived, if not all; -: never"
+        text = "small: share of successful runs, if not all; -: never"
         caption(figure, text, note)
         figure.draw_without_rendering()
     return figure
@@ -284,8 +303,9 @@ def plot_ert(
 ) -> QuadMesh:
     """The cells of `ert_table`, for the rows of one factor; returns the coloured mesh.
 
-    Its values (methods, problems) are log10 of the ratio to the best method's running time, NaN
-    where there is none. A pair without runs stays empty and ranks as one that never arrives.
+    Its values (methods, problems) are log10 of the ratio to the best method's running time, NaN if
+    there is none. A pair without runs stays empty and ranks like a method that never reaches the
+    target.
     """
     require_columns(rows, ["problem", "optimizer", "success", "ert"], "ert")
     cost = rows.pivot(index="optimizer", columns="problem", values="ert")
@@ -319,7 +339,7 @@ def plot_ert(
 
 
 def _write(ax: Axes, x: float, row: int, ratio: float, share: float) -> None:
-    """The text of one cell: the ratio, and below it the share of successes if that is not 1."""
+    """Write the text of one cell: the ratio, and below it the share of successes unless it is 1."""
     partly = 0 < share < 1
     place: dict[str, Any] = {"ha": "center", "va": "center"}
     place["color"] = "white" if ratio < DARK_UP_TO else "black"

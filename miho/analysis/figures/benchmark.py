@@ -1,4 +1,4 @@
-"""Figures of what evaluations and runs cost: functions of the benchmarks' tidy frames."""
+"""Figures of the cost of evaluations and runs, from the benchmarks' tidy frames."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ SENSITIVITY_COLOURS = {
 }  # fmt: skip
 BAR_HEIGHT = 0.22  # inches
 LABEL_ROOM = 2.2
-"""A logarithmic axis ends this factor beyond its longest bar, so that its number fits."""
+"""Factor by which a logarithmic axis extends beyond its longest bar, so that its label fits."""
 
 
 def loss_figure(frame: pd.DataFrame) -> Figure:
-    """Nanoseconds per point over the rows, for batches of one and for the largest ones.
+    """Nanoseconds per point over the rows, for batches of one and for the largest batches.
 
-    Frame: rows, batch, method, ns.
+    The frame has the columns rows, batch, method, ns; the method `limit` is the processor's limit,
+    independent of the batch.
     """
     require_columns(frame, {"rows", "batch", "method", "ns"}, "frame")
     with house_style():
@@ -80,8 +81,8 @@ def _over_rows(frame: pd.DataFrame, value: str, colours: dict[str, str], label: 
 
 
 def run_figure(frame: pd.DataFrame) -> Figure:
-    """Seconds of a run by its form, with how many times faster than the first. Frame: form,
-    seconds, speedup."""
+    """Seconds of a run by its form, and the speed-up relative to the first. Frame: form, seconds,
+    speedup."""
     require_columns(frame, {"form", "seconds", "speedup"}, "frame")
     texts = [f"{s:.3g} s, {x:.3g} times" for s, x in zip(frame["seconds"], frame["speedup"],
              strict=True)]  # fmt: skip
@@ -94,14 +95,15 @@ def run_figure(frame: pd.DataFrame) -> Figure:
 
 
 def overhead_figure(frame: pd.DataFrame) -> Figure:
-    """Microseconds per evaluation that each method takes itself. Frame: kind, name, us."""
+    """Microseconds per evaluation that each method takes, without the loss. Frame: kind, name,
+    us."""
     require_columns(frame, {"kind", "name", "us"}, "frame")
     rows = frame[(frame["kind"] == "method") & frame["us"].gt(0)].sort_values("us")
     with house_style():
         figure = Figure(figsize=(WIDTH, 1 + BAR_HEIGHT * len(rows)), layout="constrained")
         texts = [f"{us:.3g}" for us in rows["us"]]
         ax = _bars(figure.subplots(), rows["name"], rows["us"], texts)
-        ax.set_xlabel("time per evaluation besides the loss [µs]")
+        ax.set_xlabel("time per evaluation without the loss [µs]")
         figure.draw_without_rendering()
     return figure
 

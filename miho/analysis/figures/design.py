@@ -1,4 +1,4 @@
-"""What to measure next, drawn: where the chosen rows lie, and which intervals they narrow."""
+"""Figure of an experimental design: the chosen rows, and the intervals that they narrow."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ GREY, PALE = "#6e6e6e", "#cfcfcf"
 def design_figure(rows: pd.DataFrame, table: pd.DataFrame) -> Figure:
     """Two panels: the rows over one or two inputs, and half widths before and after.
 
-    `rows` has a column for each input, of which the first two that vary are drawn, and `row`:
-    present, candidate or chosen; `table` has the columns `quantity` and the half widths of
+    `rows` has a column for each input, of which the first two that vary are drawn, and the column
+    `row`: present, candidate or chosen. `table` has the columns `quantity` and the half widths of
     `miho.identification.Design.table`.
     """
     every = [name for name in rows.columns if name != "row"]
@@ -40,7 +40,7 @@ def design_figure(rows: pd.DataFrame, table: pd.DataFrame) -> Figure:
 
 
 def plot_rows_over_input(rows: pd.DataFrame, name: str, ax: Axes) -> Axes:
-    """How many rows are there and how many are chosen along one input."""
+    """Numbers of present and chosen rows along one input."""
     edges = np.histogram_bin_edges(rows[name], BINS).tolist()
     present, chosen = (rows.loc[rows["row"] == part, name] for part in ("present", "chosen"))
     ax.hist(present, edges, color=PALE, label="present rows")
@@ -53,7 +53,7 @@ def plot_rows_over_input(rows: pd.DataFrame, name: str, ax: Axes) -> Axes:
 
 
 def plot_rows_over_inputs(rows: pd.DataFrame, x: str, y: str, ax: Axes) -> Axes:
-    """The rows over two inputs; the more often a row is chosen, the larger its mark."""
+    """The rows over two inputs; rows that are chosen more often have larger marks."""
     styles: dict[str, dict[str, Any]] = {
         "candidate": {"s": 3, "color": PALE, "label": "candidates"},
         "present": {"s": 5, "color": GREY, "alpha": 0.6, "label": "present rows"},
@@ -70,9 +70,10 @@ def plot_rows_over_inputs(rows: pd.DataFrame, x: str, y: str, ax: Axes) -> Axes:
 
 
 def plot_narrowing(table: pd.DataFrame, ax: Axes) -> Axes:
-    """Half widths in % of the present ones, a line per quantity, from above.
+    """Half widths in % of the present ones, a line per quantity, from the top.
 
-    What the present data do not determine has no present half width: it is written, not drawn.
+    A quantity that the present data do not determine has no present half width: it is labelled, not
+    drawn.
     """
     present = table["present half width"]
     known = np.isfinite(present) & (present > 0)

@@ -1,4 +1,5 @@
-"""The field tests: obstacle avoidance and laps at speed, and what laps on other knowledge take."""
+"""Figures of the field tests: obstacle avoidance, laps at speed, and lap times by knowledge of the
+car."""
 
 from __future__ import annotations
 
@@ -22,12 +23,13 @@ ALARM = "#b00020"
 DASHED = (0, (4, 2))
 KMH = 3.6
 LEAST_RANGE = 5.0
-"""Of the axis of velocities [m/s], so that noise does not fill it."""
+"""Smallest range of the axis of velocities [m/s], so that noise does not fill it."""
 BANDS = (
     (40.0, math.inf, "#dfe6ee", "above 40 m/s (144 km/h)"),
     (42.0, 52.0, "#f6d9a8", "42-52 m/s (151-187 km/h)"),
 )
-"""Velocities [m/s] that the paper looks at apart (Sec. V-B.2), with the colour behind them."""
+"""Velocities [m/s] that the paper analyses separately (Sec. V-B.2), with their background
+colours."""
 
 
 def fig7(
@@ -36,20 +38,25 @@ def fig7(
 ) -> Figure:  # fmt: skip
     """Fig. 7: velocity, lateral acceleration within its limits, and steering, over time.
 
-    A panel that the paper does not have shows the use of the friction that was planned with.
+    An additional panel, which the paper lacks, shows the use of the planned friction.
 
     Parameters
     ----------
     log : DataFrame
         The columns of `miho.driving.simulation.Drive`, and planned_use [-].
     obstacle : float, optional
-        Time [s] at which the car is beside it, marked in all panels.
+        Time [s] when the car passes it, marked in all panels.
     departure : (float, str), optional
-        Time [s] at which the car left the road, marked in all panels, and what to write of it.
+        Time [s] when the car left the road, marked in all panels, and its label.
     excess : str
-        What to write of how the car used more friction than was planned with.
+        Description of how the car exceeded the planned friction.
     note : str
-        Below the figure.
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        Four panels.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
@@ -68,7 +75,7 @@ def fig7(
             lines.append(f"red line: {departure[1]}")
         _alarm(figure, lines)
         friction.set_xlabel("time [s]")
-        caption(figure, "" if obstacle is None else "dotted: beside the obstacle", note)
+        caption(figure, "" if obstacle is None else "dotted: at the obstacle", note)
         figure.draw_without_rendering()
     return figure
 
@@ -79,18 +86,23 @@ def fig8(
 ) -> Figure:  # fmt: skip
     """Fig. 8: errors of position and heading, velocity, throttle and brake, over the distance.
 
-    A panel that the paper does not have shows the error of the velocity, over `BANDS`.
+    An additional panel, which the paper lacks, shows the error of the velocity, over `BANDS`.
 
     Parameters
     ----------
     log : DataFrame
         The columns of `miho.driving.simulation.Drive`.
     laps : list of float, optional
-        Distances [m] at which laps begin, marked in all panels.
+        Distances [m] of the starts of laps, marked in all panels.
     departure : (float, str), optional
-        Distance [m] at which the car left the road, marked in all panels, and what to write of it.
+        Distance [m] where the car left the road, marked in all panels, and its label.
     note : str
-        Below the figure.
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        Five panels.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
@@ -115,7 +127,7 @@ def fig8(
 
 
 def plot_velocity(log: pd.DataFrame, ax: Axes, *, over: str) -> Axes:
-    """Driven velocity [m/s] on the desired one, over the time [s] or the distance [km].
+    """Driven and desired velocity [m/s] over the time [s] or the distance [km].
 
     The axis on the right is in km/h.
     """
@@ -134,7 +146,7 @@ def plot_velocity(log: pd.DataFrame, ax: Axes, *, over: str) -> Axes:
 def plot_lateral(log: pd.DataFrame, ax: Axes) -> Axes:
     """Lateral acceleration [m/s^2], driven and planned, between the planned limits, over time.
 
-    Where the car used more friction than was planned with, it is drawn in red.
+    Parts that exceed the planned friction are red.
     """
     t, beyond = log["time"], log["planned_use"] > 1
     ax.plot(t, log["ay_plan"], color=AMBER, linewidth=3.2, label="planned")
@@ -169,12 +181,12 @@ def plot_use(log: pd.DataFrame, ax: Axes) -> Axes:
 
 
 def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Axes) -> Axes:
-    """A column times a factor over the distance [km], with its largest magnitude written in."""
+    """A column times a factor over the distance [km], with its largest magnitude as a label."""
     return _error(log, factor * log[column], label, ax)
 
 
 def plot_velocity_error(log: pd.DataFrame, ax: Axes) -> Axes:
-    """Driven less desired velocity [m/s] over the distance [km], on the bands of `BANDS`."""
+    """Driven minus desired velocity [m/s] over the distance [km], on the bands of `BANDS`."""
     for low, high, color, name in BANDS:
         inside = (log["vx"] > low) & (log["vx"] <= high)
         ax.fill_between(
@@ -187,7 +199,7 @@ def plot_velocity_error(log: pd.DataFrame, ax: Axes) -> Axes:
 
 
 def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
-    """Throttle [%] and brake pressure [bar], as commanded, over the distance [km]."""
+    """Commanded throttle [%] and brake pressure [bar] over the distance [km]."""
     at = log["distance"] / 1000
     ax.plot(at, 100 * log["u_throttle"], color=GREEN, linewidth=0.9, label="throttle [%]")
     ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=1.2, label="brake [bar]")
@@ -208,19 +220,19 @@ def _error(log: pd.DataFrame, values: pd.Series[float], label: str, ax: Axes) ->
 
 
 def _red(ax: Axes, at: pd.Series[float], values: pd.Series[float], where: pd.Series[bool]) -> None:
-    """The part of a curve in red."""
+    """Draw a part of a curve in red."""
     if where.any():
         ax.plot(at, values.where(where), color=ALARM, linewidth=2.2, label="beyond the plan")
 
 
 def _mark_departure(figure: Figure, at: float) -> None:
-    """A red line in all panels."""
+    """Draw a red line in all panels."""
     for ax in figure.axes:
         ax.axvline(at, color=ALARM, linewidth=1.4)
 
 
 def _alarm(figure: Figure, lines: list[str]) -> None:
-    """Lines above the panels, in red."""
+    """Write red lines of text above the panels."""
     if lines:
         figure.suptitle("\n".join(lines), color=ALARM, fontsize=9, x=0.01, ha="left")
 
@@ -234,7 +246,7 @@ def _mps(v: ArrayLike) -> np.ndarray:
 
 
 def _legend(ax: Axes) -> None:
-    """The legend in a row above the panel, where it covers no curve."""
+    """Place the legend in a row above the panel, so that it covers no curve."""
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
 
 
@@ -246,16 +258,25 @@ MEASURES = {
     "part_throttle": ("speed error, 40-95 % throttle [m/s]", 1.0, 3),
     "margin": ("margin to the friction limit [%]", 100.0, 1),
 }
-"""By column: what it is called, its factor from SI, and how many decimals tell enough."""
+"""For each column, its label, its factor from SI, and its number of decimals."""
 
 
 def lap_table(laps: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     """Means over seeds with 95 % bootstrap intervals, a row per variant.
 
-    `laps` has a row per variant and seed: variant, seed, and the columns of `MEASURES` in SI units,
-    lap_time NaN where the car did not finish. Columns of the table: variant, seeds, finished, and
-    of each measure, in the unit that it is shown in, its mean, `_low` and `_high`; laps that were
-    not finished count in `finished` alone.
+    Parameters
+    ----------
+    laps : DataFrame
+        A row per variant and seed: variant, seed, and the columns of `MEASURES` in SI units, with
+        lap_time NaN if the car did not finish.
+    rng : Generator
+        Draws the resamples.
+
+    Returns
+    -------
+    DataFrame
+        Columns variant, seeds, finished, and for each measure, in its shown unit, the mean, `_low`
+        and `_high`. Unfinished laps only count in `seeds`.
     """
     rows = []
     for variant, group in laps.groupby("variant", observed=True, sort=False):
@@ -275,7 +296,7 @@ def lap_table(laps: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
 
 
 def lap_text(table: pd.DataFrame) -> str:
-    """The table as text: mean and interval, "-" where no lap was finished."""
+    """The table as text: mean and interval, "-" if no lap was finished."""
     columns = pd.DataFrame({"knows": table["variant"].astype(str)})
     columns["finished"] = [f"{row.finished} of {row.seeds}" for row in table.itertuples()]
     for column, (name, _, digits) in MEASURES.items():

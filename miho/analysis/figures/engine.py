@@ -1,4 +1,4 @@
-"""The paper's figure of the engine: learned torque curves and the map they are part of."""
+"""The paper's figure of the engine: learned torque curves and the engine map that contains them."""
 
 from __future__ import annotations
 
@@ -38,11 +38,36 @@ def fig5(
 ) -> Figure:
     """Fig. 5: samples and learned torque curves (left), the integrated engine map (right).
 
-    Keys are throttle openings in percent; each value is (engine speed in rpm, torque in Nm), both
-    (n,). `truth` draws the curves the data were made from, `dyno` what a dyno measured, `errors`
-    [Nm] go into the legend. The map is `torque` (K, M) in Nm over `throttle` (K,) in percent and
-    `rpm` (M,); `learned` (K, M) is the weight of the learned curves in it, and blue is where the
-    interpolation uses them. `note` is printed small below.
+    Parameters
+    ----------
+    samples, curves : mapping of float to (ndarray, ndarray)
+        For each throttle opening in percent, engine speed [rpm] and torque [Nm], both (n,).
+    rpm : ndarray, shape (M,)
+        Engine speeds of the map [rpm].
+    throttle : ndarray, shape (K,)
+        Openings of the map [%].
+    torque : ndarray, shape (K, M)
+        Torque of the map [Nm].
+    learned : ndarray, shape (K, M)
+        Weight of the learned curves in the map; the interpolation uses them in the blue area.
+    truth : mapping, optional
+        True curves of the data, like `curves`.
+    dyno : mapping, optional
+        Measurements of a dyno, like `samples`.
+    errors : mapping of float to float, optional
+        Errors of the curves [Nm] for the legend.
+    note : str
+        Small text below the figure.
+
+    Returns
+    -------
+    Figure
+        Two panels.
+
+    Raises
+    ------
+    ValueError
+        If the map has the wrong shape.
     """
     shape = (throttle.size, rpm.size)
     for name, table in (("torque", torque), ("learned", learned)):
@@ -106,7 +131,7 @@ def plot_torque_curves(
 
 
 def plot_engine_map(rpm: Array, throttle: Array, torque: Array, learned: Array, ax: Axes) -> Axes:
-    """Contours of the torque over engine speed and throttle; blue where learned curves count."""
+    """Contours of the torque over engine speed and throttle; blue where learned curves are used."""
     blue = sns.color_palette("colorblind")[0]
     inside = np.logical_and(torque.min() < LEVELS, torque.max() > LEVELS)
     ax.contourf(rpm, throttle, learned, levels=[1e-6, 1.5], colors=[blue], alpha=0.3)

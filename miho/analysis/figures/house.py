@@ -1,4 +1,4 @@
-"""What all figures share: style, sizes, captions, files, and labels at the ends of curves."""
+"""Common parts of all figures: style, sizes, captions, files, and labels at the ends of curves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from miho.study import write_bytes
 
 WIDTH = 180 / 25.4
 NARROW = 140 / 25.4
-"""Width in inches of a figure that a phone shows large enough to read."""
+"""Width [inches] of a figure that is readable on a phone."""
 CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
 TIME_LABEL_WIDTH = 44  # characters of 9 pt text below a panel of half WIDTH
 AXIS_LABELS = {
@@ -37,7 +37,7 @@ AXIS_LABELS = {
 def house_style() -> AbstractContextManager[None]:
     """Matplotlib settings of all figures: dark grey ticks, a light grid below, 8 to 9 pt text.
 
-    Ticks read the settings when they are first drawn, so draw within it as well.
+    Ticks read the settings when they are first drawn, so draw within the context as well.
     """
     ink = dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), "#262626")
     ink |= dict.fromkeys(("xtick.color", "ytick.color"), "#262626")
@@ -65,7 +65,7 @@ def house_style() -> AbstractContextManager[None]:
 
 
 def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
-    """Write `<path>.png` (200 dpi) and `<path>.pdf`, making the folder; returns both paths."""
+    """Write `<path>.png` (200 dpi) and `<path>.pdf`, creating the folder; return both paths."""
     stem = Path(path_without_suffix)
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("png", "pdf")]
@@ -79,7 +79,7 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
 
 
 def time_label(clock: Clock) -> str:
-    """The label of an axis over time: a clock other than the wall's says why it is there."""
+    """The label of an axis over time; a clock other than wall time includes the reason."""
     if clock.axis == "seconds":
         return AXIS_LABELS["seconds"]
     reason = textwrap.fill(f"({clock.disturbed})", TIME_LABEL_WIDTH)
@@ -87,7 +87,7 @@ def time_label(clock: Clock) -> str:
 
 
 def caption(figure: Figure, *parts: str, width: float = WIDTH) -> None:
-    """Small print below the panels: the parts that are not empty, in as many lines as needed."""
+    """Small print below the panels: the nonempty parts, in as many lines as needed."""
     characters = int(CAPTION_WIDTH * width / WIDTH)
     text = "; ".join(part for part in parts if part).replace(" = ", "\u00a0=\u00a0")
     lines = textwrap.fill(text, characters).replace("\u00a0", " ")
@@ -105,7 +105,8 @@ def png(figure: Figure) -> bytes:
 
 @dataclass(frozen=True)
 class EndLabel:
-    """`value` is where the curve ends, in data units; NaN labels a curve that has no end value."""
+    """A label of a curve; `value` is its end in data units, NaN for a curve without an end
+    value."""
 
     value: float
     text: str
@@ -113,7 +114,7 @@ class EndLabel:
 
 
 def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> None:
-    """Write the labels beside the right edge, each joined to its curve by a line in its style.
+    """Write the labels at the right edge, each joined to its curve by a line in its style.
 
     Call it last: limits and scale of the axis must be final. `size` is the font size in points.
     """
@@ -140,15 +141,15 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
             color=label.style.color,
             fontsize=size,
             verticalalignment="center_baseline",
-            parse_math=False,  # a setting may hold what reads as a formula
+            parse_math=False,  # a setting may look like a formula
         )
 
 
 def spread_apart(targets: Array, gap: float, low: float = 0.0, high: float = 1.0) -> Array:
     """Positions (n,) at least `gap` apart in the order of `targets`, as near to them as possible.
 
-    Least squares under the constraint, which is an isotonic regression of target_i - i gap. If
-    they cannot fit between `low` and `high`, the gap shrinks until they do.
+    This is least squares under the constraint, an isotonic regression of target_i - i gap. If the
+    positions cannot fit between `low` and `high`, the gap shrinks until they do.
     """
     count = len(targets)
     if count > 1:

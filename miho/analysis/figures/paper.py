@@ -47,10 +47,27 @@ def fig4(
 ) -> Figure:
     """Fig. 4: samples and learned curves of front and rear tires, and the front axle on a drive.
 
-    Keys are LF, RF, LR, RR; each value is (slip angle in degrees, lateral force in kN), both
-    (n,). `errors` in kN (root mean square over the samples) go into the legends. Tires without
-    a curve show samples only, and the other way round. `axle`: data and curves of `plot_axle`;
-    without it there are two panels.
+    Parameters
+    ----------
+    samples, curves : mapping of str to (ndarray, ndarray)
+        For LF, RF, LR, RR, slip angle [deg] and lateral force [kN], both (n,). Tires without a
+        curve show only samples, and the reverse.
+    errors : mapping of str to float, optional
+        Root mean square errors over the samples [kN] for the legends.
+    axle : optional
+        Data and curves of `plot_axle`; without them there are two panels.
+    note : str
+        Small text below the figure.
+
+    Returns
+    -------
+    Figure
+        Two or three panels.
+
+    Raises
+    ------
+    ValueError
+        For an unknown tire.
     """
     unknown = sorted((set(samples) | set(curves)) - set(TIRE_NAMES))
     if unknown:
@@ -82,7 +99,7 @@ def plot_tires(
     tires: Sequence[str],
     errors: Mapping[str, float],
 ) -> Axes:
-    """Samples as light points and learned curves as lines, of one or two tires, as in `fig4`."""
+    """Samples as light points and learned curves as lines, for one or two tires, as in `fig4`."""
     palette = sns.color_palette("colorblind")
     for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=False):
         label = TIRE_NAMES[tire]
@@ -121,20 +138,20 @@ def fig6(
 ) -> Figure:
     """Fig. 6: mean error over time, and below it over evaluations, which no machine changes.
 
-    Time is that of the wall clock, or the processor's where other work disturbed the runs, as
-    `timing.clock_of` decides for the whole figure; the axis says which. The mean final error of
-    each method stands beside it in its colour; "-" where a run saw nothing finite, which leaves the
-    mean undefined. The grey band is the interval of the estimated irreducible error.
+    Time is wall time, or CPU time if other work disturbed the runs, as `timing.clock_of` decides
+    for the whole figure; the axis says which. The mean final error of each method is printed next
+    to its curve in its colour; "-" if a run has no finite error, which leaves the mean undefined.
+    The grey band is the interval of the estimated irreducible error.
 
     Parameters
     ----------
     runs, curves : DataFrame
-        As of `miho.load_runs`, of one problem. Runs of one method with different settings are drawn
-        as as many methods, such as `MIHO R=300`.
+        As in `miho.load_runs`, of one problem. Runs of one method with different settings are drawn
+        as different methods, for example `MIHO R=300`.
     methods : "paper" or collection of str, optional
         The paper's five methods and Optuna's Hyperband, or some by name; by default all.
     note : str
-        Printed small below: sizes, repetitions, budget; by default nothing.
+        Small text below: sizes, repetitions, budget; by default empty.
 
     Returns
     -------
@@ -144,7 +161,7 @@ def fig6(
     Raises
     ------
     ValueError
-        Where runs are of several problems or units, or there are none of a method.
+        If there are several problems or units, or a method has no runs.
     """
     runs, curves = one_problem(runs, curves)
     if methods is not None:
@@ -152,7 +169,7 @@ def fig6(
         curves = curves[curves["id"].isin(runs["id"])]
     unit = str(runs["unit"].iloc[0])
     shown_in, factor = shown_unit(unit)
-    # The irreducible error, the clock that all runs may be compared on, and a hue for each method.
+    # The irreducible error, the common clock, and a hue for each method.
     low, high = float(runs["irreducible_low"].min()), float(runs["irreducible_high"].max())
     irreducible = (low, high) if np.isfinite(low) else None
     clock, styles = clock_of(runs), distinct(runs["optimizer"])
@@ -161,7 +178,7 @@ def fig6(
     with house_style():
         figure = Figure(figsize=(NARROW, 6.1), layout="constrained")
         above, below = figure.subplots(2, 1, sharey=True, height_ratios=[1.15, 1])
-        # Above over time, of the runs that count there; below over evaluations, of all.
+        # Above over time, for comparable runs; below over evaluations, for all runs.
         timed = curves[curves["id"].isin(clock.runs["id"])]
         plot(timed, clock.axis, above)
         above.set_xlabel(time_label(clock))
@@ -189,11 +206,31 @@ def plot_error_over(
 ) -> Axes:
     """Mean error of each method over the axis, with a band from the 10 % to the 90 % quantile.
 
-    Both scales are logarithmic. Beyond the last row of a method's runs the line goes on thin:
-    the answer is kept, nothing runs. `irreducible` is the interval that holds the
-    error no method undercuts, a grey band. `unit` is that of `curves` and `irreducible`; forces are
-    drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`. `styles` are by
-    default the fixed ones of all methods.
+    Both scales are logarithmic. After the last row of a method's runs the line continues thin: the
+    answer is kept, but nothing runs. Runs without rows are unknown here: see
+    `tidy.with_silent_runs`.
+
+    Parameters
+    ----------
+    curves : DataFrame
+        As in `miho.load_runs`, of one problem.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        The axis.
+    ax : Axes
+        The panel.
+    unit : str
+        Unit of `curves` and `irreducible`; forces are drawn in kN.
+    irreducible : tuple of float, optional
+        Interval of the irreducible error, drawn as a grey band.
+    grid : ndarray, optional
+        Positions on the axis; by default `log_grid`.
+    styles : mapping of str to MethodStyle, optional
+        By default the fixed styles of all methods.
+
+    Returns
+    -------
+    Axes
+        The panel.
     """
     curves = named_apart(curves, of_problem=())
     grid = log_grid(curves, axis) if grid is None else grid
@@ -222,7 +259,7 @@ def plot_error_over(
 def _final_labels(
     runs: pd.DataFrame, factor: float, styles: Mapping[str, MethodStyle]
 ) -> list[EndLabel]:
-    """Mean final error per method; NaN if a run saw nothing finite."""
+    """Mean final error per method; NaN if a run has no finite error."""
     labels = []
     for method, style in styles.items():
         errors = runs.loc[runs["optimizer"] == method, "error"].to_numpy(dtype=float) * factor
@@ -241,14 +278,14 @@ def plain_log_ticks(ax: Axes) -> None:
 
 COLORS = sns.color_palette("colorblind")
 MARGIN = 1.5
-"""How far beyond the driving data curves are drawn, in their range of slip angles."""
+"""Range of slip angles of drawn curves, relative to the driving data."""
 
 
 @dataclass(frozen=True)
 class AxleCurve:
     """A curve: slip angles [deg] and forces [kN], and its root mean square error [kN] on the data.
 
-    learned: the slip angles [deg] between which it was learned; beyond them it is dashed.
+    `learned` is the range of slip angles [deg] that identified it; outside it the curve is dashed.
     """
 
     points: Points
@@ -259,8 +296,8 @@ class AxleCurve:
 def fig4_right(data: Points, curves: Mapping[str, AxleCurve], *, note: str = "") -> Figure:
     """Fig. 4, right: driving data as light points, and curves by name.
 
-    data: slip angles [deg] and lateral forces [kN] of the axle, both tires, (n,) each, which no
-    curve was learned from.
+    `data` are slip angles [deg] and lateral forces [kN] of the axle, both tires, (n,) each; no
+    curve was identified from them.
     """
     with house_style():
         figure = Figure(figsize=(4.6, 3.6), layout="constrained")

@@ -24,8 +24,9 @@ DARK, LIGHT, GUIDE = "#222222", "#9a9a9a", "#d8d8d8"
 def area_figure(areas: pd.DataFrame, *, note: str = "") -> Figure:
     """Area over the convergence curve of each method, best mean first.
 
-    Frame: problem, optimizer, aocc, a row per run. Grey points are the means of the problems, the
-    box their quartiles and median, the diamond their mean, all problems weighing the same.
+    The frame has the columns problem, optimizer, aocc, with a row per run. Grey points are the
+    means of the problems, the box shows their quartiles and median, the diamond their mean; all
+    problems have the same weight.
     """
     with house_style():
         height = ROW * areas["optimizer"].nunique() + 0.9
@@ -67,12 +68,12 @@ def critical_difference_diagram(
     sample: str = "",
     note: str = "",
 ) -> Figure:
-    """Mean ranks and what they do not separate (Demsar 2006, Fig. 1), with a row per method.
+    """Mean ranks and cliques that are not separated (Demsar 2006, Fig. 1), with a row per method.
 
-    Frame: optimizer, rank (1 is best). `cd` is the critical difference, drawn to scale at the
-    top; a bar beside the rows joins the methods of one clique, between which the test finds no
-    difference. Methods without a common bar differ. `sample` says what the ranks are means over,
-    such as "12 problems".
+    The frame has the columns optimizer and rank (1 is best). `cd` is the critical difference, drawn
+    to scale at the top. A bar next to the rows joins the methods of a clique, between which the
+    test finds no difference; methods without a common bar differ. `sample` describes the sample of
+    the mean ranks, for example "12 problems".
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, ROW * len(ranks) + 1.1), layout="constrained")
@@ -88,7 +89,7 @@ def critical_difference_diagram(
 
 
 def plot_ranks(ranks: pd.DataFrame, cd: float, ax: Axes) -> Axes:
-    """Mean ranks as dots in rows, best first, with the critical difference from the best one."""
+    """Mean ranks as dots in rows, best first, with the critical difference from the best."""
     require_columns(ranks, ["optimizer", "rank"], "ranks")
     rank = ranks.set_index("optimizer")["rank"].sort_values(kind="stable")
     styles = method_rows(ax, rank.index)
@@ -112,7 +113,7 @@ def plot_ranks(ranks: pd.DataFrame, cd: float, ax: Axes) -> Axes:
 
 
 def plot_cliques(ranks: pd.DataFrame, cliques: Sequence[Collection[str]], ax: Axes) -> Axes:
-    """A vertical bar per clique, on the rows of `plot_ranks`, a dot at each of its members."""
+    """A vertical bar per clique, on the rows of `plot_ranks`, with a dot at each member."""
     rank = ranks.set_index("optimizer")["rank"].sort_values(kind="stable")
     spans = sorted(
         sorted(rank.index.get_indexer(pd.Index(list(clique))))
@@ -122,7 +123,7 @@ def plot_cliques(ranks: pd.DataFrame, cliques: Sequence[Collection[str]], ax: Ax
     for column, rows in enumerate(spans):
         if rows[0] < 0:
             raise ValueError(
-                f"a clique holds a method without a rank; expected some of {', '.join(rank.index)}"
+                f"a clique has a method without a rank; expected some of {', '.join(rank.index)}"
             )
         ax.plot([column] * len(rows), rows, color=DARK, linewidth=1.3, marker="o", markersize=3)
     for row in range(len(rank)):
@@ -137,17 +138,17 @@ def plot_cliques(ranks: pd.DataFrame, cliques: Sequence[Collection[str]], ax: Ax
 def speed_up_figure(
     speed_ups: pd.DataFrame, *, method: str = "miho", axis: str = "evaluations", note: str = ""
 ) -> Figure:
-    """How many times less `method` spends than each rival, with 95 % intervals.
+    """How many times faster `method` is than each rival, with 95 % intervals.
 
-    Frame: method, rival, ratio (rival's expected running time / the method's), low, high, problems
-    (both arrive), only_method and only_rival. Above 1 `method` is faster; grey and hollow where
-    the interval holds 1.
+    The frame has the columns method, rival, ratio (rival's expected running time / the method's),
+    low, high, problems (that both solve), only_method and only_rival. Above 1 `method` is faster;
+    grey and hollow marks mean that the interval contains 1.
     """
     with house_style():
         rivals = int((speed_ups["method"] == method).sum())
         figure = Figure(figsize=(WIDTH, ROW * rivals + 1.1), layout="constrained")
         plot_speed_up(speed_ups, figure.subplots(), method=method, axis=axis)
-        caption(figure, "hollow and grey: undecided, the 95 % interval holds 1", note)
+        caption(figure, "hollow and grey: undecided, the 95 % interval contains 1", note)
         figure.draw_without_rendering()
     return figure
 
@@ -186,7 +187,7 @@ def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str, axis: str) 
 
 
 def _speed_up_row(ax: Axes, row: int, interval: Array, limits: tuple[float, float]) -> None:
-    """A ratio with its low and high end (3,); a triangle where it goes on beyond the panel."""
+    """A ratio with its interval (3,); a triangle if it extends beyond the panel."""
     ratio, low, high = interval
     if np.isnan(ratio):
         return
@@ -202,7 +203,7 @@ def _speed_up_row(ax: Axes, row: int, interval: Array, limits: tuple[float, floa
 
 
 def method_rows(ax: Axes, methods: Collection[str]) -> dict[str, MethodStyle]:
-    """A row per method, first at the top, its name in its colour; returns their styles."""
+    """Set up a row per method, first at the top, its name in its colour; return their styles."""
     styles = styles_of(methods)
     ax.yaxis.set_major_locator(FixedLocator(list(range(len(methods)))))
     ax.set_yticklabels([styles[method].name for method in methods])

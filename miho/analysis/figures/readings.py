@@ -1,4 +1,4 @@
-"""The paper's comparison (Fig. 6) once per reading of what the paper leaves open."""
+"""The paper's comparison (Fig. 6), once per reading of settings that it does not specify."""
 
 from __future__ import annotations
 
@@ -24,10 +24,15 @@ def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> 
     Parameters
     ----------
     readings : mapping of str to DataFrame
-        For the words of each reading its curves, as `miho.analysis.compare.readings.frames_of`
-        gives them. Errors are in N and drawn in kN.
+        For the words of each reading its curves, as from
+        `miho.analysis.compare.readings.frames_of`. Errors are in N and drawn in kN.
     note : str
-        Small print below the panels.
+        Small text below the panels.
+
+    Returns
+    -------
+    Figure
+        The panels.
     """
     rows = -(-len(readings) // COLUMNS)
     curves = pd.concat(readings.values(), ignore_index=True)

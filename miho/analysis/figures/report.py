@@ -1,4 +1,4 @@
-"""Figures of one identification: the fit, its descents, what errors follow, and its profiles."""
+"""Figures of one identification: the fit, its descents, trends in the errors, and its profiles."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ Array = NDArray[np.float64]
 
 BLACK = "#222222"
 POINTS = (BLUE, RED, GREEN, ORANGE, *COLORS[4:6])
-"""Colors of parts, in turn."""
+"""Colors of parts, used cyclically."""
 BINS = 10
 PANELS = 3
 LOGARITHMIC = 5.0
 LEAST_RANGE = 0.1
 GRID = 400
-"""Points of a curve that is drawn."""
+"""Number of points of a drawn curve."""
 
 
 def _opacity(points: int) -> float:
-    """Few points stand out, many show their density."""
+    """Few points are opaque, many show their density."""
     return float(np.clip(150 / points, 0.15, 0.7))
 
 
 @dataclass(frozen=True)
 class Column:
-    """Values (N,) with what to write on their axis."""
+    """Values (N,) with the name and unit of their axis."""
 
     name: str
     unit: str
@@ -44,21 +44,22 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Name and unit, as on an axis."""
+        """Name and unit for an axis."""
         return in_unit(self.name, self.unit)
 
 
 def in_unit(name: str, unit: str) -> str:
-    """A name as on an axis, without brackets where no unit is known."""
+    """A name with its unit in brackets, if the unit is known."""
     return f"{name} [{unit}]" if unit else name
 
 
 def curve_band(
     x: Array, ordered: bool, band: Callable[[Array], tuple[Array, Array]]
 ) -> tuple[Array, Array, Array]:
-    """A curve over a single input (N,) as x, values and half widths, of the `band` at inputs.
+    """x, values and half widths of a curve over a single input (N,), from `band` at inputs.
 
-    On an even grid, or for a model that needs every row in order at the rows of data.
+    The curve is evaluated on an even grid, or at the rows of data for a model that needs all rows
+    in order.
     """
     if not ordered:
         grid = np.linspace(x.min(), x.max(), GRID)
@@ -78,7 +79,7 @@ def fit_figure(
     """Data and fit: over the single input `x` with the curve's `band` (x, curve, half width).
 
     Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal; rows
-    of each of the `parts` (N,) of a joint problem in a color of their own.
+    of each of the `parts` (N,) of a joint problem have a separate color.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
@@ -121,15 +122,31 @@ def waterfall_figure(
     kind: str = "descents",
     dropped: int = 0,
 ) -> Figure:
-    """Errors (n,) where the descents of a run ended, ascending: in an optimum each is a step.
+    """Final errors (n,) of the descents of a run, ascending: each optimum is a step.
 
-    `kind` is what they are, such as brackets; the legend counts those that were `dropped` on fewer
-    rows, whose errors nobody knows.
+    Parameters
+    ----------
+    errors : ndarray, shape (n,)
+        Final errors of the descents.
+    ended_here : ndarray of bool, shape (n,)
+        Descents that ended in this optimum, drawn with filled marks.
+    unit : str
+        Unit of the errors.
+    best_known : float or None
+        Error of the best known optimum.
+    rounding : float
+        Smaller errors are drawn at this value.
+    kind : str
+        Kind of the descents, for example brackets.
+    dropped : int
+        Number of descents that were dropped on fewer rows, whose errors are unknown; the legend
+        shows it.
 
-    Filled are those that `ended_here` (n,), in the optimum in question; `best_known` is the error
-    of the best known one. Errors up to `rounding` are drawn as that. The axis is logarithmic where
-    errors differ by a factor of LOGARITHMIC; else it spans LEAST_RANGE of them at least, on which
-    those that agree lie level.
+    Returns
+    -------
+    Figure
+        The axis is logarithmic if errors differ by a factor of LOGARITHMIC. Otherwise it spans at
+        least LEAST_RANGE of them, so that equal errors are level.
     """
     heights = np.maximum(errors, rounding)
     number = np.arange(1, len(errors) + 1)
@@ -174,9 +191,9 @@ def residual_figure(
 ) -> Figure:
     """Errors (model minus data) over each column, with means of groups of rows.
 
-    Drawn apart are the `parts` (N,) of a joint problem, else the rows with the first column below
-    and above its median: what a load does to a force has the sign of the slip, and cancels in the
-    mean over both.
+    The `parts` (N,) of a joint problem are drawn separately, or else the rows with the first column
+    below and above its median: the effect of a load on a force has the sign of the slip, and would
+    cancel in the mean over both.
     """
     has_legend = bool(parts) or len(columns) > 1
     if not parts:
@@ -225,9 +242,9 @@ def plot_errors_over(
 def profile_figure(
     profiles: Mapping[str, tuple[Array, Array]], units: Mapping[str, str], quantile: float
 ) -> Figure:
-    """Signed root of the likelihood ratio over each parameter; straight lines: linear model.
+    """Signed root of the likelihood ratio over each parameter; straight lines for a linear model.
 
-    `profiles` maps names to (values, tau); between the lines at +-`quantile` lies the interval.
+    `profiles` maps names to (values, tau). The interval is between the lines at +-`quantile`.
     """
     with house_style():
         rows = -(-len(profiles) // PANELS)

@@ -1,4 +1,4 @@
-"""Figures of many workers: how well they are used, and how long a search takes with them."""
+"""Figures of many workers: their efficiency, and the duration of a search."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GREY = "#777777"
 PANELS = {
     "equal": "evaluations of equal length",
     "log-normal": "spread log-normally (σ = 0.7)",
-    "measured": "spread as those of a simulation",
+    "measured": "spread as in a simulation",
 }
 
 
@@ -42,10 +42,10 @@ def efficiency_figure(frame: pd.DataFrame) -> Figure:
 
 
 def many_workers_figure(frame: pd.DataFrame) -> Figure:
-    """Wall time over workers, a line per method with quartiles, a panel per spread of lengths.
+    """Wall time over workers, a line per method with quartiles, a panel per spread of durations.
 
-    Frame: kind, method, workers, spread, seed, seconds (NaN where the optimum was not reached);
-    rows of another kind than `simulated` are left out.
+    The frame has the columns kind, method, workers, spread, seed and seconds (NaN if the optimum
+    was not reached); rows of a kind other than `simulated` are ignored.
     """
     require_columns(frame, {"kind", "method", "workers", "spread", "seed", "seconds"}, "frame")
     with house_style():
@@ -75,7 +75,7 @@ def _band(ax: Axes, line: pd.DataFrame, name: str, k: int) -> None:
 
 
 def _quartiles(line: pd.DataFrame) -> pd.DataFrame:
-    """Quartiles over seeds by workers; one that did not get there took longer than all others."""
+    """Quartiles over seeds by workers; a run that missed the target counts as the slowest."""
     seconds = line.assign(seconds=line["seconds"].fillna(float("inf"))).groupby("workers")
     return (
         seconds["seconds"].quantile(np.array([0.25, 0.5, 0.75]), interpolation="nearest").unstack()
@@ -87,11 +87,11 @@ def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
     line = _quartiles(rows[rows["method"] == rows["method"].iloc[0]])[0.5]
     ideal = line.iloc[0] * line.index[0] / line.index.to_series()
     ideal = ideal[ideal >= rows["seconds"].min()]
-    ax.plot(ideal.index, ideal, color=GREY, linewidth=0.8, label="MIHO, if all were always busy")
+    ax.plot(ideal.index, ideal, color=GREY, linewidth=0.8, label="MIHO with ideal workers")
 
 
 def _look(k: int) -> dict[str, Any]:
-    """Colour, dashes and marker, so that lines differ in print without colours too."""
+    """Colour, dashes and marker, so that lines also differ in print without colours."""
     return {
         "color": COLOURS[k % len(COLOURS)],
         "linestyle": DASHES[k % len(DASHES)],

@@ -1,1 +1,1 @@
-"""Self-contained HTML pages, with the tables they show: of one run, and of all runs of a root."""
+"""Self-contained HTML pages with tables: of one run, and of all runs of a root."""

@@ -1,4 +1,4 @@
-"""HTML by templates: whatever is put in is escaped, and a page loads nothing."""
+"""HTML from templates: all values are escaped, and a page loads nothing."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ PAGE = "report.html"
 
 @dataclass(frozen=True)
 class Table:
-    """The cells of a table as text; `numeric` tells which columns are read from the right.
+    """The cells of a table as text; `numeric` marks the columns that are aligned to the right.
 
-    The first column heads the rows.
+    The first column contains the headings of the rows.
     """
 
     heads: list[str]
@@ -32,7 +32,7 @@ class Table:
 
     @classmethod
     def of(cls, frame: pd.DataFrame) -> Table:
-        """The cells of a frame, numbers as all tables print them."""
+        """The cells of a frame, with numbers formatted as in all tables."""
         numeric = [is_numeric(frame[name]) for name in frame.columns]
         rows = [[cell(value) for value in row] for row in frame.itertuples(index=False, name=None)]
         return cls([str(name) for name in frame.columns], [False, *numeric[1:]], rows)
@@ -44,18 +44,18 @@ def render(name: str, **values: Any) -> str:
 
 
 def asset(name: str) -> Markup:
-    """A script or style sheet of ours as it stands in a page."""
+    """A script or style sheet of this package, to be embedded in a page."""
     path = files("miho.analysis.pages").joinpath("templates", name)
     return Markup(path.read_text(encoding="utf-8"))  # noqa: S704 - a file of this package
 
 
 def digest(text: str) -> str:
-    """What a Content-Security-Policy names a script or style by."""
+    """The name of a script or style in a Content-Security-Policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
 
 
 def _json(value: Any) -> Markup:
-    """JSON for a script, which no text inside can close."""
+    """JSON for a script element; text in it cannot close the element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return Markup(text)  # noqa: S704 - nothing in it closes the element
 

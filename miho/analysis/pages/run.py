@@ -44,9 +44,9 @@ PARAMETERS = "parameters.json"
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with what stands below it, in this order; empty parts are left out.
+    """A heading and its contents, in this order; empty parts are omitted.
 
-    `figure` is a picture as `png` makes it.
+    `figure` is a picture as from `png`.
     """
 
     heading: str
@@ -62,10 +62,23 @@ def save_report(
     stored: StoredRun | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Path:
-    """Write the page, the tables as CSV, the figures and parameters.json; the page's path.
+    """Write the page, the tables as CSV, the figures and parameters.json.
 
-    `stored` is the run in the store that the report is of, where there is one: page and
-    parameters.json then say what regenerates it. `progress` is called with the name of every step.
+    Parameters
+    ----------
+    report : Report
+        The report.
+    folder : path-like
+        Folder of the files; it is created if necessary.
+    stored : StoredRun, optional
+        The stored run of the report. The page and parameters.json then say how to regenerate it.
+    progress : callable
+        Called with the name of every step.
+
+    Returns
+    -------
+    Path
+        The page.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,9 +97,9 @@ def save_report(
 
 
 def report_folder(stored: StoredRun) -> Path:
-    """Where a run's report goes: reports/ beside the problems of its root.
+    """Folder of a run's report: below reports/ in its root.
 
-    Raises PermissionError where a link leads out of the root.
+    Raises PermissionError if a link leads out of the root.
     """
     result = stored.result
     root = stored.folder.parent.parent.parent
@@ -107,7 +120,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
     dataset, model = problem.dataset, problem.model
     errors = Column("error", problem.unit, problem.errors(report.at.theta))
     predicted = model.predict(report.at.theta[None], *problem.inputs)[0]
-    # Parts of a joint problem, and outputs, have colors; what tells them apart needs no panel.
+    # Parts of a joint problem and outputs have colors, so their columns need no panels.
     parts = rows_of_parts(model, problem.inputs)
     shown = "output" if parts else dataset.output
     measured = Column(shown, problem.unit, dataset[dataset.output])
@@ -119,7 +132,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
         for name, values in dataset.columns.items()
         if name not in hidden
     ]
-    # Only over a single input is the fit a curve, and its uncertainty a band around it.
+    # With a single input the fit is a curve, with a band for its uncertainty.
     x = band = None
     if len(model.inputs) == 1:
         (name,) = model.inputs
@@ -134,7 +147,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
         "fit": fit_figure(measured, predicted, x, band, parts),
         "residuals": residual_figure(errors, columns, parts),
     }
-    # What there is not always: several ends of descents, and profiles that were computed.
+    # Optional figures: several ends of descents, and computed profiles.
     if len(report.descents) > 1:
         figures["descents"] = waterfall_figure(
             report.descents["error"].to_numpy(),
@@ -153,26 +166,28 @@ def figures_of(report: Report) -> dict[str, bytes]:
 
 
 def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, bytes]) -> str:
-    """The page's HTML, with the pictures that `figures_of` made."""
+    """The page's HTML, with the pictures from `figures_of`."""
     problem = report.problem
     kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
     kinds += ["sandwich"] * report.uneven
-    # First what was identified and whether it is the optimum, since all else hangs on that; then
-    # how good it is, what the errors still follow, and at the end where it comes from.
+    # First the parameters and whether they are the optimum, on which everything else depends; then
+    # the quality of the fit, trends in the errors, and the origin.
     sections = [
         Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
         Section(
-            "What these numbers mean",
-            report.notes if report.standing.doubt else [report.standing.statement, *report.notes],
+            "Interpretation",
+            report.notes
+            if report.standing.doubt
+            else [f"optimum: {report.standing.statement}.", *report.notes],
         ),
         Section(
-            "Optima that the data cannot tell apart",
+            "Optima that the data cannot distinguish",
             table=_rounded(report.optima),
-            caption="excess: by how much chi-squared exceeds that of the first. Intervals reach "
+            caption="excess: chi-squared minus its value at the first optimum. Intervals extend "
             "from the lowest optimum to the highest.",
         ),
         Section(
-            f"Where the {kind_of(report.searches)} ended",
+            f"Final errors of the {kind_of(report.searches)}",
             figure=figures.get("descents"),
             caption=_searched(report),
         ),
@@ -185,30 +200,30 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
         Section(
             "Errors",
             table=error_table(report),
-            caption="Root mean squares; the residual standard deviation is the root of the sum of "
-            "squares by the degrees of freedom.",
+            caption="Root mean squares. The residual standard deviation is the square root of the "
+            "sum of squares divided by the degrees of freedom.",
         ),
         Section(
-            "Errors by group, left out and seen",
+            "Cross-validation by group",
             table=_rounded(report.left_out),
-            caption="Each group in turn is left out of the fit, and predicted.",
+            caption="Each group in turn is left out of the fit and predicted.",
         ),
         Section(
-            "What the errors still follow",
+            "Trends in the errors",
             table=_rounded(report.trends),
             figure=figures["residuals"],
-            caption="explained: share of the errors' variance that the means of groups of rows "
-            "explain, those of a condition together with the first input; p: how often chance "
-            "alone explains as much, where neighbouring rows are alike if that is allowed for. "
-            "Errors are model minus data; lines are means over rows of "
-            "a part, or with the first input below and above its median.",
+            caption="explained: share of the errors' variance that means over groups of rows "
+            "explain; for a condition, groups also depend on the first input. p: probability "
+            "that chance alone explains as much, which accounts for correlated neighbouring rows "
+            "if the report does. Errors are model minus data. Lines are means over rows of a "
+            "part, or over rows with the first input below and above its median.",
         ),
         Section("Correlation of the estimates", table=correlation_table(report)),
         Section(
             "Profiles",
             figure=figures.get("profiles"),
-            caption="Signed root of the likelihood ratio; a straight line where the linearised "
-            "interval is right. The interval lies between the dashed lines.",
+            caption="Signed root of the likelihood ratio; a straight line if the linearised "
+            "interval is accurate. The interval is between the dashed lines.",
         ),
         Section("Origin", table=_origin_table(report, stored)),
     ]
@@ -249,7 +264,7 @@ def _explained(report: Report) -> str:
 
 
 def _searched(report: Report) -> str:
-    """What the picture of the descents shows."""
+    """Caption of the figure of the descents."""
     dropped = sum(search.dropped for search in report.searches)
     finished = sum(search.finished for search in report.searches) - dropped
     kind = kind_of(report.searches)
@@ -258,17 +273,17 @@ def _searched(report: Report) -> str:
     starts = f", from the best of {screened:,} configurations" * bool(screened)
     caption = (
         f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} {kind} "
-        f"ended{starts}, sorted: a level stretch is one optimum."
+        f"ended{starts}, sorted: a horizontal section is one optimum."
     )
     if kind == "brackets":
         caption += (
-            " A bracket looks at several starts, halves them as they descend, and ends where the "
-            "last one does."
+            " A bracket begins with several starting points, halves their number as they descend, "
+            "and ends with the last one."
         )
     if dropped:
         caption += (
-            f" {dropped:,} more came to an end on fewer rows, as no better there than an optimum "
-            "that was known; their errors on all rows are not known."
+            f" {dropped:,} more were dropped on fewer rows, because they were no better there "
+            "than a known optimum; their errors on all rows are unknown."
         )
     return caption
 
@@ -282,7 +297,7 @@ def _rounded(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _origin(report: Report, stored: StoredRun | None) -> dict[str, Any]:
-    """The provenance of the stored run, or without one the problem and its data."""
+    """The provenance of the stored run, or else the problem and its data."""
     if stored is not None:
         return provenance(stored)
     return {"problem": report.problem.name, "data": report.problem.dataset.digest}

@@ -1,4 +1,4 @@
-"""The tables of a report as text, with the digits their errors leave, in handy units."""
+"""Tables of a report as text, with the digits that their errors allow, in convenient units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from miho.study import StoredRun
 
 
 def parameter_table(report: Report) -> pd.DataFrame:
-    """The parameters as text, with their digits cut to what their errors leave."""
+    """The parameters as text, with the digits that their errors allow."""
     kinds = [interval_kind(report.parameters)]
     kinds += ["bootstrap"] * (report.replicates is not None and "bootstrap" not in kinds)
     kinds += _sandwich(report)
@@ -24,7 +24,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
             "parameter": row["parameter"],
             "value": to_error(row["value"], error),
             "unit": row["unit"],
-            "standard error": "held" if math.isnan(error) else to_error(error, error),
+            "standard error": "fixed" if math.isnan(error) else to_error(error, error),
         }
         for kind in kinds:
             low, high = row[f"{kind} low"], row[f"{kind} high"]
@@ -34,7 +34,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
 
 
 def _sandwich(report: Report) -> list[str]:
-    """The kind of intervals that allow for uneven spread, where it is uneven."""
+    """The kind of intervals that account for uneven spread, if the spread is uneven."""
     return ["sandwich"] * (report.uneven and not report.standing.doubt)
 
 
@@ -45,14 +45,14 @@ def _heading(report: Report, kind: str) -> str:
 
 
 def values_table(stored: StoredRun) -> pd.DataFrame:
-    """The parameters of a run as it stored them, without errors or intervals."""
+    """The stored parameters of a run, without errors or intervals."""
     pairs = zip(stored.result["parameters"], stored.result["theta"], strict=True)
     rows = [(about["name"], significant(value, 6), about["unit"]) for about, value in pairs]
     return pd.DataFrame(rows, columns=["parameter", "value", "unit"])
 
 
 def derived_table(report: Report) -> pd.DataFrame:
-    """The derived quantities as text, in handy units."""
+    """The derived quantities as text, in convenient units."""
     rows = []
     kind = interval_kind(report.derived.drop(columns=["profile low"], errors="ignore"))
     heading = _heading(report, kind)
@@ -78,7 +78,7 @@ def derived_table(report: Report) -> pd.DataFrame:
 
 
 def error_table(report: Report) -> pd.DataFrame:
-    """The errors as text; of the irreducible one the range, and whether this fit is in it."""
+    """The errors as text; for the irreducible error, its range and a comparison with this fit."""
     rows = []
     for row in report.errors.to_dict("records"):
         error, remark = significant(row["error"]), ""
@@ -86,7 +86,7 @@ def error_table(report: Report) -> pd.DataFrame:
             error = f"{significant(row['low'], 4)} to {significant(row['high'], 4)}"
             remark = "estimated from neighbouring points"
             if not report.irreducible.resolved:
-                remark += ", which lie too far apart to tell"
+                remark += ", which are too far apart for that"
             elif report.error <= row["high"]:
                 inside = "within the uncertainty of the estimate"
                 remark += f"; this fit is {inside if report.error >= row['low'] else 'below it'}"
@@ -131,7 +131,7 @@ def correlation_table(report: Report) -> pd.DataFrame:
 
 
 def report_text(report: Report) -> str:
-    """The report for a terminal: parameters, derived quantities and what the numbers mean."""
+    """The report for a terminal: parameters, derived quantities and their interpretation."""
     parts = [parameter_table(report).to_string(index=False)]
     quantities = derived_table(report)
     if len(quantities):

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a sweep: tables, and curves that answer the pointer."""
+"""A self-contained HTML page of a sweep: tables and interactive curves."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from miho.analysis.timing import clock_of
 from miho.study import StoredRun, load_runs, read_run, write_text
 
 MANY_METHODS = 12
-"""With more methods than this the page opens with the first ten only."""
+"""With more methods than this, the page initially shows only the first ten."""
 FIRST = 10
 BANDS = 4
-"""Up to so many methods the page opens with bands."""
+"""Largest number of methods with which the page initially shows bands."""
 STILL = (
-    f"Lines are means over seeds, bands reach from 10 to 90 %. For curves that answer the pointer, "
-    f"pip install {PACKAGE} and report again."
+    f"Lines are means over seeds, bands extend from 10 to 90 %. For interactive curves, "
+    f"pip install {PACKAGE} and create the report again."
 )
 PIXELS = 4 / 3
 """CSS pixels of a point, the unit of line widths."""
@@ -53,9 +53,9 @@ PIXELS = 4 / 3
 
 @dataclass(frozen=True)
 class Best:
-    """The best run of a problem: its parameters, what to say of them, and the page with the rest.
+    """The best run of a problem: its parameters, notes on them, and a page with details.
 
-    `page` is a path from the folder of the sweep's page, empty if there is none.
+    `page` is a path from the folder of the sweep's page; empty if there is none.
     """
 
     method: str
@@ -75,17 +75,40 @@ def save_sweep_page(
     warnings: Sequence[str] = (),
     made_by: str = "miho.analysis.save_sweep_page",
 ) -> Path:
-    """Write the page of all runs of a root, by default its report.html; the page's path.
+    """Write the page of all runs of a root.
 
-    `sweep` are the runs, if they are read already, `best` what is said of the best run of each
-    problem, by default its values. `warnings` stand before those that the runs give rise to,
-    `made_by` in the head of the page. Raises ValueError where there is no finished run.
+    Parameters
+    ----------
+    root : path-like
+        Folder of runs.
+    path : Path, optional
+        The page; by default report.html in the root.
+    sweep : Sweep, optional
+        The runs, if they were read already.
+    best : mapping of str to Best, optional
+        Results of the best run of each problem; by default its values.
+    configured : Configured
+        Additions from a configuration.
+    warnings : sequence of str
+        Shown before the warnings about the runs.
+    made_by : str
+        Shown in the head of the page.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    ValueError
+        If there is no finished run.
     """
     root = Path(root)
     path = root / PAGE if path is None else path
     sweep = Sweep.of(load_runs(root)) if sweep is None else sweep
     if sweep.runs.empty:
-        raise ValueError(f"{root}: holds no finished run that can be read")
+        raise ValueError(f"{root}: has no finished run that can be read")
     if best is None:
         best = {name: _values(read_run(folder)) for name, folder in best_runs(sweep).items()}
     page = sweep_page(sweep, contents(sweep, root, configured, warnings, made_by), best)
@@ -100,21 +123,21 @@ def _values(stored: StoredRun) -> Best:
 
 
 def sweep_page(sweep: Sweep, about: Contents, best: Mapping[str, Best]) -> str:
-    """The page's HTML; `best` by the names of the problems, which may be fewer than all."""
+    """The page's HTML; `best` by the names of problems, possibly not all."""
     runs = sweep.runs
     order = overall_order(runs)
     detail = Detail.fitting(runs.groupby(["problem", "optimizer"]).ngroups)
-    # With many methods the chart opens with the best of them, and without bands.
+    # With many methods the chart initially shows only the best, without bands.
     seeds = int(runs.groupby(["problem", "optimizer"]).size().max())
     first_methods = order if len(order) <= MANY_METHODS else order[:FIRST]
     board = about.leaderboard
     if board is not None:
         board = board.assign(method=board["method"].map(printed(board["method"])))
     explained = _explained(len(order), len(first_methods), seeds, detail)
-    # Without the chart library a figure of each problem stands there, and no script.
+    # Without the chart library there is a figure of each problem and no script.
     library = vega()
     script = None if library is None else library + Markup("\n") + asset("sweep.js")
-    # What the template shows, from the top of the page to its end.
+    # The contents of the template, from the top of the page to its end.
     return render(
         "sweep.html",
         about=about,
@@ -150,7 +173,7 @@ def sweep_page(sweep: Sweep, about: Contents, best: Mapping[str, Best]) -> str:
 
 
 def _curves(sweep: Sweep, about: Contents, detail: Detail) -> list[dict[str, Any]]:
-    """What is drawn of each problem, in the order of the runs."""
+    """Curves of each problem, in the order of the runs."""
     finite = sweep.curves[sweep.curves["error"].notna()]
     curves = dict(iter(finite.groupby("problem", sort=False)))
     clock = clock_of(sweep.runs)
@@ -182,20 +205,20 @@ def _stills(sweep: Sweep) -> list[tuple[str, bytes]]:
 
 def _explained(methods: int, first_methods: int, seeds: int, detail: Detail) -> str:
     sentences = [
-        "Best error so far, as steps; after its end (dot) a method keeps its answer. Methods stand "
-        "in the order of their final median. Move over the figure, or give it the focus and use "
-        "the arrow keys, to read the values; press a method to hide or show it."
+        "Best error so far, as steps; after its end (dot) a method keeps its answer. Methods are "
+        "in the order of their final median. To read values, move the pointer over the figure or "
+        "focus it and use the arrow keys; press a method to hide or show it."
     ]
     if seeds > 1:
-        sentences.append("The line is the median over seeds, the band reaches from 10 to 90 %.")
+        sentences.append("The line is the median over seeds, the band extends from 10 to 90 %.")
     if seeds > detail.seeds:
         sentences.append(
-            f"Of {seeds} seeds at most {detail.seeds} are drawn one by one, evenly over their "
-            "final errors; median and band are of all."
+            f"At most {detail.seeds} of {seeds} seeds are drawn separately, evenly over their "
+            "final errors; median and band include all."
         )
     if first_methods < methods:
-        sentences.append(f"Of {methods} methods the best {first_methods} are shown at first.")
-    sentences.append(f"Curves are kept at {detail.positions} positions of an axis.")
+        sentences.append(f"Initially the best {first_methods} of {methods} methods are shown.")
+    sentences.append(f"Curves have {detail.positions} positions on an axis.")
     return " ".join(sentences)
 
 
@@ -210,7 +233,7 @@ def _look(style: MethodStyle) -> dict[str, Any]:
 
 
 def _problems(sweep: Sweep, best: Mapping[str, Best]) -> list[dict[str, Any]]:
-    """The tables of each problem: final errors, and what is said of its best run."""
+    """Tables of each problem: final errors and the best run."""
     methods = printed(sweep.runs["optimizer"])
     problems = []
     for name, runs in sweep.runs.groupby("problem", sort=False):

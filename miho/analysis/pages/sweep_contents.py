@@ -1,4 +1,4 @@
-"""What the page of a sweep says beside its runs: leaderboard, claims, references and facts."""
+"""Contents of a sweep's page in addition to its runs: leaderboard, claims, references and facts."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ from miho.analysis.timing import undisturbed
 from miho.analysis.variants import base_name
 
 CLAIMS = (
-    "The paper's claims; ours with 95 % bootstrap intervals. What decides is written beside each."
+    "The paper's claims and our results with 95 % bootstrap intervals. The reason column explains "
+    "each verdict."
 )
 LEADERBOARD = (
     "By mean rank over problems, by the expected number of evaluations to within 1 % of the best "
-    "known error; on a problem where it never gets there, a method is behind all that do. Success: "
-    "share of runs within that factor of the best known error. AOCC: area over the convergence "
-    "curve, more is better. Times the best: over the problems that a method solves; read it beside "
-    "solved. Microseconds: of the {timed} runs that no other work disturbed."
+    "known error; on a problem that it never solves, a method ranks behind all methods that do. "
+    "Success: share of runs within that factor of the best known error. AOCC: area over the "
+    "convergence curve, more is better. Times the best: over the problems that a method solves; "
+    "compare it together with solved. Microseconds: from the {timed} runs that no other work "
+    "disturbed."
 )
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What the page says beside the runs: title, facts of its head, further warnings and tables.
+    """Contents of the page in addition to the runs: title, facts, further warnings and tables.
 
-    `references` holds the best known error of each problem, in the unit of its runs; of those in
-    `unrecorded` no optimum is recorded, so that it is the best of these runs.
+    `references` are the best known errors of the problems, in the unit of the runs. Problems in
+    `unrecorded` have no recorded optimum, so theirs is the best of these runs.
     """
 
     title: str
@@ -52,9 +54,9 @@ class Contents:
 
 @dataclass(frozen=True)
 class Configured:
-    """What a configuration adds to the files of runs; the defaults add nothing.
+    """Additions of a configuration to the files of runs; the defaults add nothing.
 
-    `runs` gives the runs of a comparison with the optima and families that are configured now.
+    `runs` returns the runs of a comparison with the optima and families that are configured now.
     """
 
     runs: Callable[[pd.DataFrame], pd.DataFrame] = lambda runs: runs
@@ -70,7 +72,7 @@ def contents(
     warnings: Sequence[str] = (),
     made_by: str = "miho.analysis.save_sweep_page",
 ) -> Contents:
-    """The contents for the runs of a root; `made_by` is what writes the page."""
+    """The contents for the runs of a root; `made_by` names the program that writes the page."""
     comparison = Comparison.of(sweep.runs, sweep.curves, root)
     sentences = list(warnings)
     if comparison is not None and comparison.missing:
@@ -84,7 +86,7 @@ def contents(
         board = _leaderboard(sweep, comparison, configured)
         claims = _claims(sweep, comparison)
     except ValueError as error:
-        sentences.append(f"A table is left out: {error}.")
+        sentences.append(f"A table is missing: {error}.")
     best_known, unrecorded = _references(sweep.runs)
     return Contents(
         title=f"Runs of {root.resolve().name}",
@@ -100,7 +102,7 @@ def contents(
 
 
 def best_runs(sweep: Sweep) -> dict[str, Path]:
-    """The folder of the best run of each problem that has one with a finite error."""
+    """The folder of the best run of each problem that has a run with a finite error."""
     finite = sweep.runs[sweep.runs["error"].notna()].sort_values("error", kind="stable")
     firsts = finite.drop_duplicates("problem").set_index("problem")["folder"]
     order = [problem for problem in sweep.runs["problem"].unique() if problem in firsts]
@@ -110,7 +112,7 @@ def best_runs(sweep: Sweep) -> dict[str, Path]:
 def _leaderboard(
     sweep: Sweep, comparison: Comparison | None, configured: Configured
 ) -> pd.DataFrame | None:
-    """The leaderboard of the comparison, as its figures have it, or else of all runs."""
+    """The leaderboard of the comparison, as in its figures, or else of all runs."""
     runs, curves = sweep.runs, sweep.curves
     if comparison is not None and len(comparison.runs):
         runs, curves = configured.runs(comparison.runs), comparison.curves
@@ -120,13 +122,13 @@ def _leaderboard(
 
 
 def _timed(sweep: Sweep, comparison: Comparison | None) -> str:
-    """How many runs of the leaderboard were undisturbed, such as "3 of 7"."""
+    """The number of undisturbed runs of the leaderboard, for example "3 of 7"."""
     runs = sweep.runs if comparison is None or comparison.runs.empty else comparison.runs
     return f"{int(undisturbed(runs).sum())} of {len(runs)}"
 
 
 def _claims(sweep: Sweep, comparison: Comparison | None) -> pd.DataFrame | None:
-    """The claims are about MIHO on a tire beside others, and about whole comparisons."""
+    """Claims about MIHO and other methods on a tire, if the comparison is complete."""
     runs, curves = sweep.runs, sweep.curves
     if comparison is not None:
         runs, curves = comparison.runs, comparison.curves
@@ -139,9 +141,9 @@ def _claims(sweep: Sweep, comparison: Comparison | None) -> pd.DataFrame | None:
 
 
 def _references(runs: pd.DataFrame) -> tuple[dict[str, float], set[str]]:
-    """The best known error of each problem, NaN where it is not above zero.
+    """The best known error of each problem, NaN if it is not above zero.
 
-    Then the problems of which it is that of the best run, since none better is recorded.
+    The second value contains the problems whose best known error is the best of these runs.
     """
     best_known, unrecorded = {}, set()
     for problem, group in runs.groupby("problem", sort=False):
@@ -155,7 +157,7 @@ def _references(runs: pd.DataFrame) -> tuple[dict[str, float], set[str]]:
 
 
 def _facts(sweep: Sweep, comparison: Comparison | None, made_by: str) -> list[tuple[str, str]]:
-    """What the page's head tells of the runs and of itself."""
+    """Facts about the runs and the page, for its head."""
     origins = list(sweep.origins.values())
     values = environment_table(origins).groupby("what", sort=False)["value"].agg(" or ".join)
     packages = [key for key in values.index if key.startswith("packages.")]

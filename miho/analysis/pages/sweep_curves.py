@@ -1,4 +1,4 @@
-"""Error curves of a sweep made light: step functions on a common grid, kept where they change."""
+"""Compact error curves of a sweep: step functions on a common grid, stored where they change."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Array = NDArray[np.float64]
 
 QUANTILES = (0.1, 0.5, 0.9)
 DIGITS = 5
-"""Significant digits of what is kept."""
+"""Significant digits of stored values."""
 
 
 @dataclass(frozen=True)
 class Detail:
-    """How much is kept: grid positions of an axis, and single runs of a method on a problem."""
+    """Level of detail: grid positions of an axis, and single runs per method and problem."""
 
     positions: int
     seeds: int
 
     @classmethod
     def fitting(cls, pairs: int) -> Detail:
-        """What keeps a page of so many pairs of problem and method at 3 MB or less."""
+        """The detail that keeps a page with so many pairs of problem and method at 3 MB or less."""
         return cls(
             positions=int(np.clip(45_000 // max(pairs, 1), 40, 180)),
             seeds=int(np.clip(1500 // max(pairs, 1), 2, 30)),
@@ -46,7 +46,7 @@ def _layer(name: str, mark: dict[str, Any], **encoding: Any) -> dict[str, Any]:
 
 
 def _channel(field: str, kind: str) -> dict[str, Any]:
-    """A field that a layer takes as it is, such as a width in pixels."""
+    """A field that a layer uses unscaled, for example a width in pixels."""
     return {"field": field, "type": kind, "scale": None, "legend": None}
 
 
@@ -88,17 +88,29 @@ CHART: dict[str, Any] = {
 def problem_curves(
     runs: pd.DataFrame, clock: Clock, curves: pd.DataFrame, best: float, detail: Detail
 ) -> dict[str, Any]:
-    """What is drawn of one problem, ready for JSON; errors in the unit of `shown_unit`.
+    """The curves of one problem, ready for JSON; errors in the unit of `shown_unit`.
 
-    The axis "seconds" is that of the clock, and of those of `runs` that may be compared on it.
-    `curves` hold finite errors only. `best` is the best known error in the unit of `runs`, NaN if
-    there is none.
+    Parameters
+    ----------
+    runs : DataFrame
+        Runs of the problem.
+    clock : Clock
+        Clock of the axis "seconds", which uses the runs that may be compared on it.
+    curves : DataFrame
+        Curves of the runs with finite errors.
+    best : float
+        Best known error in the unit of `runs`; NaN if there is none.
+    detail : Detail
+        Level of detail.
 
-    For each axis the grid and the curves, methods in order of their final median error: "method",
-    "runs", "median", "low" and "high" (quantiles 0.1 and 0.9), "end" (median of what its runs
-    spent) and "seeds", single runs evenly over their final errors. A curve is a text as of
-    `steps`; a run without a value counts as infinitely bad, and a quantile is told once it is
-    finite.
+    Returns
+    -------
+    dict
+        For each axis, the grid and the curves, methods in order of their final median error:
+        "method", "runs", "median", "low" and "high" (quantiles 0.1 and 0.9), "end" (median cost of
+        its runs) and "seeds", single runs evenly over their final errors. A curve is a text as from
+        `steps`. A run without a value counts as infinitely bad, so quantiles begin when they are
+        finite.
     """
     unit, factor = shown_unit(str(runs["unit"].iloc[0]))
     timed = runs[runs["id"].isin(clock.runs["id"])]
@@ -144,7 +156,7 @@ def _axis(
 def final_order(runs: pd.DataFrame) -> list[str]:
     """The methods of one problem, the smallest median of final errors first.
 
-    What differs in the tenth digit only is a tie, in the order of the names.
+    Differences in the tenth digit are ties, in the order of the names.
     """
     final = runs["error"].fillna(np.inf).groupby(runs["optimizer"]).median()
     final = final.sort_index().map(lambda error: rounded(error, 9))
@@ -152,7 +164,7 @@ def final_order(runs: pd.DataFrame) -> list[str]:
 
 
 def overall_order(runs: pd.DataFrame) -> list[str]:
-    """The methods by the mean of their places over the problems they were run on."""
+    """The methods by the mean of their places over the problems on which they were run."""
     places: dict[str, list[int]] = {}
     for _, group in runs.groupby("problem", sort=False):
         for place, method in enumerate(final_order(group)):
@@ -163,7 +175,7 @@ def overall_order(runs: pd.DataFrame) -> list[str]:
 def quantiles(table: Array, levels: Sequence[float]) -> Array:
     """Quantiles (levels, g) over the rows of (n, g), linear between neighbours, which may be inf.
 
-    `numpy.quantile` makes NaN of a neighbour at inf even where its weight is zero.
+    `numpy.quantile` returns NaN for a neighbour at inf even if its weight is zero.
     """
     ordered = np.sort(table, axis=0)
     curves = []
@@ -180,9 +192,9 @@ def quantiles(table: Array, levels: Sequence[float]) -> Array:
 
 
 def steps(values: Array) -> str:
-    """A curve (g,) on the grid: a number per position, empty where it is as before.
+    """A curve (g,) on the grid: a number per position, empty if it is unchanged.
 
-    It begins at its first finite value; positions before that are empty as well.
+    It begins at its first finite value; earlier positions are empty as well.
     """
     texts, last = [], ""
     for value in values:

@@ -1,4 +1,4 @@
-"""The runs of a root: told apart by all but their seed, with where each of them comes from."""
+"""The runs of a root, distinguished by everything except their seed, and their origins."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from miho.study.provenance import flattened
 Settings = Mapping[str, str]
 
 MANY = 6
-"""More different values than this are not told one by one."""
+"""Largest number of different values that are listed separately."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What one run was asked and what it ran on; `config` is shared by runs that differ in seed.
+    """Request and environment of a run; runs that differ only in seed share `config`.
 
     Keys of `config` and `environment` are dotted paths, values are JSON texts.
     """
@@ -39,7 +39,7 @@ class Origin:
 def read_origins(
     folders: Iterable[str], progress: Callable[[], None] = lambda: None
 ) -> tuple[dict[str, Origin], dict[str, str]]:
-    """The origin of each run folder, and of the folders that do not match their checksums why.
+    """The origins of run folders, and the reasons why damaged folders were skipped.
 
     Curves are not read. `progress` is called after every folder.
     """
@@ -66,19 +66,19 @@ def _origin(folder: str, configs: dict[str, Settings]) -> Origin:
 
 
 def json_leaves(tree: Mapping[str, Any]) -> dict[str, str]:
-    """The leaves of nested mappings: dotted path to JSON text."""
+    """Leaves of nested mappings: dotted path to JSON text."""
     return {path: json.dumps(leaf, ensure_ascii=False) for path, leaf in flattened(tree).items()}
 
 
 def plain(text: str) -> str:
-    """A JSON text as a reader writes it: words without quotes."""
+    """A JSON text without the quotes of strings."""
     return text[1:-1] if text.startswith('"') else text
 
 
 def environment_table(origins: Iterable[Origin]) -> pd.DataFrame:
-    """What the runs ran on: what, value, runs; a row for each value that differs between runs.
+    """Environments of the runs: what, value, runs; a row for each value that differs between runs.
 
-    More than MANY values are told as a range, time and load (of one minute) in any case.
+    More than MANY values are given as a range; time and load (of one minute) always are.
     """
     environments = [origin.environment for origin in origins]
     keys = dict.fromkeys(key for environment in environments for key in environment)
@@ -94,7 +94,7 @@ def environment_table(origins: Iterable[Origin]) -> pd.DataFrame:
 
 
 def _range(values: list[str]) -> str:
-    """First to last, by number where all are numbers; of lists, by their first number."""
+    """First to last, in numerical order if all are numbers; lists by their first number."""
     firsts = [value.strip("[]").partition(",")[0] for value in values]
     try:
         ordered = [significant(value, 4) for value in sorted(map(float, firsts))]
@@ -105,15 +105,15 @@ def _range(values: list[str]) -> str:
 
 FINITE = ("seed", "evaluations", "seconds", "dimension")
 WORDS = ("problem", "optimizer", "outcome")
-MALFORMED = "holds something else where a number or a word belongs"
+MALFORMED = "has a value of the wrong type"
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """`runs` and `curves` as in `miho.load_runs`, with names in `problem` and `optimizer` that
-    tell everything apart that must not share a curve; `origins` by the runs' folders.
+    """Runs and curves as in `miho.load_runs`, with names that distinguish all problems and methods.
 
-    `damaged` lists the folders that were skipped, with the reason.
+    `origins` are by the runs' folders. `damaged` lists the folders that were skipped, with the
+    reason.
     """
 
     runs: pd.DataFrame
@@ -123,7 +123,7 @@ class Sweep:
 
     @classmethod
     def of(cls, stored: Runs, progress: Callable[[], None] = lambda: None) -> Sweep:
-        """What a root holds; `progress` is called after every folder read."""
+        """The contents of a root; `progress` is called after every folder."""
         curves, runs, damaged = stored.curves, stored.runs, stored.damaged
         origins, broken = read_origins(runs["folder"], progress)
         broken |= dict.fromkeys(_malformed(runs), MALFORMED)
@@ -140,9 +140,9 @@ class Sweep:
 
 
 def _malformed(runs: pd.DataFrame) -> list[str]:
-    """The folders of runs that hold words for numbers, or the other way round.
+    """Folders of runs with words in place of numbers, or the reverse.
 
-    Only the error of a run that saw no finite value may be NaN.
+    Only the error of a run without a finite value may be NaN.
     """
     right = runs["error"].map(lambda value: isinstance(value, Real)).astype(bool)
     for column in FINITE:

@@ -1,4 +1,4 @@
-"""The tables of a sweep and what a reader must know before reading them."""
+"""Tables of a sweep, and warnings for its reader."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from miho.analysis.tidy import shown_unit
 from miho.analysis.timing import clock_of
 
 FEW = 5
-"""Repetitions below which a bootstrap interval is far too short; see `statistics`."""
+"""Repetitions below which a bootstrap interval is much too short; see `statistics`."""
 SHORT = 12
 """Hexadecimal digits of a digest that are shown."""
 
@@ -28,8 +28,8 @@ SHORT = 12
 def final_errors(runs: pd.DataFrame) -> pd.DataFrame:
     """A row per method on one problem, best median first; errors in the shown unit.
 
-    The interval is the 95 % percentile bootstrap of the median over seeds, "-" for a single run.
-    A run without a finite value counts as infinitely bad.
+    The interval is the 95 % percentile bootstrap of the median over seeds, "-" for a single run. A
+    run without a finite value counts as infinitely bad.
     """
     unit, factor = shown_unit(str(runs["unit"].iloc[0]))
     names = printed(runs["optimizer"])
@@ -62,12 +62,12 @@ def final_errors(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def printed(methods: pd.Series) -> dict[str, str]:
-    """The name that figures print for each method."""
+    """The name of each method in figures."""
     return {name: style.name for name, style in styles_of(map(str, methods.unique())).items()}
 
 
 def problems_table(sweep: Sweep) -> pd.DataFrame:
-    """A row per problem: what it is of, its data digest and its size."""
+    """A row per problem: its parts, its data digest and its size."""
     rows = []
     for problem, group in sweep.runs.groupby("problem", sort=False):
         origin = sweep.origins[group["folder"].iloc[0]]
@@ -86,7 +86,7 @@ def problems_table(sweep: Sweep) -> pd.DataFrame:
 
 
 def methods_table(sweep: Sweep) -> pd.DataFrame:
-    """A row per method: its runs, the seeds they have and the digest of its code."""
+    """A row per method: its runs, their seeds and the digest of its code."""
     names = printed(sweep.runs["optimizer"])
     rows = []
     for method, group in sweep.runs.groupby("optimizer", sort=False):
@@ -103,7 +103,7 @@ def methods_table(sweep: Sweep) -> pd.DataFrame:
 
 
 def seeds_text(seeds: pd.Series) -> str:
-    """Seeds such as "0 to 9", or all of them where some are missing in between."""
+    """Seeds, for example "0 to 9", or all of them if the range has gaps."""
     values = sorted(int(seed) for seed in seeds.unique())
     if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
         return f"{values[0]} to {values[-1]}"
@@ -111,7 +111,7 @@ def seeds_text(seeds: pd.Series) -> str:
 
 
 def warnings(sweep: Sweep) -> list[str]:
-    """What a reader must know before trusting the page, a sentence each."""
+    """Warnings that a reader should know first, one sentence each."""
     runs = sweep.runs
     return [
         *_gaps(runs),
@@ -123,7 +123,7 @@ def warnings(sweep: Sweep) -> list[str]:
 
 
 def _gaps(runs: pd.DataFrame) -> list[str]:
-    """Warnings of missing and of few repetitions."""
+    """Warnings about missing and few repetitions."""
     sentences = []
     pairs = Counter(zip(runs["problem"], runs["optimizer"], strict=True))
     largest = max(pairs.values())
@@ -139,7 +139,7 @@ def _gaps(runs: pd.DataFrame) -> list[str]:
     if largest < FEW:
         sentences.append(
             f"No method has more than {largest} run{'s' * (largest > 1)} on a problem, so medians "
-            "hang on chance and intervals are too short."
+            "depend on chance and intervals are too short."
         )
     return sentences
 
@@ -149,16 +149,14 @@ def _ends(runs: pd.DataFrame) -> list[str]:
     failed = int((runs["outcome"] == "failed").sum())
     sentences = []
     if silent:
-        sentences.append(
-            f"{silent} of {len(runs)} runs found no finite value; they count as worst."
-        )
+        sentences.append(f"{silent} of {len(runs)} runs found no finite value; they rank last.")
     if failed:
         sentences.append(f"{failed} of {len(runs)} runs ended because the method failed.")
     return sentences
 
 
 def _mixtures(origins: list[Origin]) -> list[str]:
-    """Warnings of different machines, versions and thread counts, and of load."""
+    """Warnings about different machines, versions and thread counts, and about load."""
     sentences = []
     for subject, keys in {
         "machines": ("processor", "machine", "cores", "system"),
@@ -178,13 +176,14 @@ def _mixtures(origins: list[Origin]) -> list[str]:
     if busy:
         sentences.append(
             f"{busy} of {len(origins)} runs were made with more processes waiting than the machine "
-            "has cores, so their seconds are those of a busy machine; evaluations are not affected."
+            "has cores, so their seconds are too long; evaluations are not affected."
         )
     return sentences
 
 
 def _busy(environment: Mapping[str, str]) -> bool:
-    """Whether the load average of one minute exceeds the cores, where both are known."""
+    """Return whether the load average of one minute exceeds the number of cores, if both are
+    known."""
     load, cores = (json.loads(environment.get(key, "null")) for key in ("load", "cores"))
     first = load[0] if isinstance(load, list) and load else None
     return isinstance(first, Real) and isinstance(cores, Real) and float(first) > float(cores)
@@ -198,9 +197,9 @@ def _damaged(count: int) -> list[str]:
     if not count:
         return []
     are = "run folders are damaged and are" if count > 1 else "run folder is damaged and is"
-    return [f"{count} {are} left out; see the list at the end."]
+    return [f"{count} {are} omitted; see the list at the end."]
 
 
 def _target(origin: Origin, group: str) -> str:
-    """The last word of what a group of the configuration makes."""
+    """The last word of the target of a configuration group."""
     return origin.config.get(f"{group}._target_", '"-"').strip('"').rpartition(".")[2]

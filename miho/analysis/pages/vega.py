@@ -1,7 +1,7 @@
 """The chart library of a page, Vega with Vega-Lite and Vega-Embed, as one script.
 
-vl-convert-python brings them along. Bundling takes seconds, so the script is kept in the user's
-cache folder.
+vl-convert-python contains them. Bundling takes seconds, so the script is kept in the user's cache
+folder.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from miho.study.identity import sha256
 
 PACKAGE = "vl-convert-python"
 SNIPPET = "window.vegaEmbed = vegaEmbed;"
-"""What the bundle gives to the script of the page."""
+"""Export of the bundle to the script of the page."""
 
 
 def vega(cache: Path | None = None) -> Markup | None:
-    """The script, from the cache folder if it is there; None where vl-convert is not installed."""
+    """The script, from the cache folder if possible; None if vl-convert is not installed."""
     try:
         import vl_convert
     except ImportError:
         return None
-    import pooch  # only here: it is slow to import
+    import pooch  # slow to import
 
     cache = Path(pooch.os_cache("miho")) if cache is None else cache
     path = cache / f"vega-{version(PACKAGE)}-{sha256(SNIPPET)[:12]}.js"
     script = _stored(path)
     if script is None:
         bundle = vl_convert.javascript_bundle(SNIPPET)
-        script = bundle.replace("</script", "<\\/script")  # in a text it means the same
-        with contextlib.suppress(OSError):  # a folder that cannot be written to costs time alone
+        script = bundle.replace("</script", "<\\/script")  # equivalent in a string
+        with contextlib.suppress(OSError):  # without a cache it is bundled again
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, f"{_head(script)}\n{script}")
     return Markup(script)  # noqa: S704 - nothing in it closes the element
 
 
 def _stored(path: Path) -> str | None:
-    """The script in a file that begins with its digest; None if there is none, or it is damaged."""
+    """The script in a file that begins with its digest; None if it is missing or damaged."""
     try:
         head, _, script = path.read_text(encoding="utf-8").partition("\n")
     except (OSError, UnicodeDecodeError):

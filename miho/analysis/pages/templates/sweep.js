@@ -1,5 +1,5 @@
 "use strict";
-// What Vega-Lite does not know: which curves are chosen, and the values under the crosshair.
+// Functions that Vega-Lite lacks: the selection of curves, and the values under the crosshair.
 (() => {
   const GAP_FLOOR = 1e-4;
   const byId = (id) => document.getElementById(id);
@@ -15,7 +15,7 @@
   const problems = new Map();
   let view = null, drawn = 0;
 
-  // A curve is a text with a number per grid position, empty where it is as before.
+  // A curve is a text with a number per grid position, empty if it is unchanged.
   const dense = (text) => {
     let last = NaN;
     return text.split(",").map((word) => (word === "" ? last : (last = Number(word))));
@@ -35,7 +35,7 @@
     return { problem, gap, value, ...problem.axes[state.axis] };
   };
 
-  // The rows of a step function: where it changes, and its end.
+  // The rows of a step function: its changes and its end.
   const steps = (grid, rows, more) => {
     const points = [];
     grid.forEach((x, i) => {
@@ -70,7 +70,7 @@
     }
     return data;
   };
-  // Both ends of the errors that are seen; a linear scale leaves out what the first values exceed.
+  // The range of the visible errors; a linear scale cuts off large first values.
   const rangeOf = (data, grid) => {
     const rows = [...data.bands, ...data.curves];
     const values = rows.flatMap((row) => [row.y, row.low, row.high]);
@@ -84,7 +84,7 @@
     return low === high ? [low / 2, high * 2] : [low * (low / high) ** 0.03, high * (high / low) ** 0.03];
   };
 
-  // Ticks of a logarithmic axis: powers of ten, with 2 and 5 times them where these are few.
+  // Ticks of a logarithmic axis: powers of ten, and 2 and 5 times them if there are few.
   const ticksOf = (kind, [low, high], tickCount) => {
     if (kind === "linear") return { tickCount };
     const [first, last] = [Math.floor(Math.log10(low)), Math.floor(Math.log10(high))];
@@ -129,7 +129,7 @@
     Object.assign(spec, { width, height: Math.round(Math.min(480, Math.max(300, 0.62 * width))),
       datasets: { ...data, cross: [], values: [] },
       description: `${axes.y.title} over ${axes.x.title}, ${about.problems[state.problem]}` });
-    // ast: expressions are interpreted, since the page forbids eval; the styles are the page's own.
+    // ast: expressions are interpreted, because the page forbids eval; the page has the styles.
     const options = { ast: true, renderer: "svg", actions: false, tooltip: false, defaultStyle: false };
     const place = document.createElement("div");
     const made = await vegaEmbed(place, spec, options);
