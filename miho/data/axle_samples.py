@@ -21,14 +21,14 @@ LARGEST_SLIP_ANGLE = 1.0
 RISING = 0.2
 """Rank correlation of force and slip angle above which one of their signs must be wrong."""
 BOTH_WAYS = 0.1
-"""Smallest share of samples with a force to either side for which a log turns both ways."""
+"""Smallest share of samples with a force to either side in a log that turns both ways."""
 LEVEL = 0.1
 """Root mean square effect of the bank on the lateral acceleration [m/s^2] below which it is not
 checked."""
 INWARD = 0.5
-"""Cosine between the accelerations of bank and turning from which the bank leans one way."""
+"""Smallest cosine between the accelerations of bank and turning for a bank that leans one way."""
 TURNING = 1.0
-"""Lateral acceleration [m/s^2] from which the car turns."""
+"""Smallest lateral acceleration in a turn [m/s^2]."""
 CROSSFALL = 1.0
 """Largest effect of a crossfall for drainage [m/s^2]: a bank of six degrees."""
 
@@ -67,7 +67,7 @@ def axle_samples(
     min_speed : float
         Samples with vx below this are dropped [m/s].
     max_ax : float, optional
-        Samples in which the tires brake or drive more than this are dropped [m/s^2].
+        Samples with a larger magnitude of ax are dropped [m/s^2].
 
     Returns
     -------

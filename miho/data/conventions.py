@@ -36,9 +36,9 @@ FLIPPED: Mapping[str, frozenset[str]] = MappingProxyType(
 """For each convention, the columns whose sign differs from ISO-W."""
 
 CLEAR = 0.5
-"""Rank correlation from which one column clearly rises with another."""
+"""Smallest rank correlation of a column that clearly rises with another."""
 SMALL_SLIP: Mapping[str, float] = MappingProxyType({"alpha": 0.07, "kappa": 0.02})
-"""Slip up to which the aligning moment has the sign of the slip angle: alpha [rad], kappa [1]."""
+"""Largest slip at which the aligning moment has the sign of alpha: alpha [rad], kappa [1]."""
 FEWEST = 10
 """Smallest number of rows with small slip for a check of the aligning moment's sign."""
 
@@ -82,7 +82,7 @@ def sign_problem(
 
     Fz is the load on the road. A tire pushes against its slip angle and turns the wheel back: Fy
     falls as alpha grows, Mz rises with alpha as long as the slip is small, and Fx rises with kappa
-    if alpha is small. `clear` is the rank correlation from which the opposite counts as a problem.
+    if alpha is small. An opposite rank correlation above `clear` counts as a problem.
     """
     names = f"set the data's convention ({', '.join(FLIPPED)}) or flip the column"
     if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:

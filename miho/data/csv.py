@@ -57,7 +57,7 @@ class TextFormat:
     comment : str, optional
         Prefix of lines that are ignored.
     missing : {'raise', 'drop'}
-        'drop' ignores rows in which a requested cell is empty or one of `NO_NUMBER`.
+        'drop' ignores rows with a requested cell that is empty or one of `NO_NUMBER`.
 
     Raises
     ------
@@ -342,7 +342,7 @@ class TextTable:
         return values
 
     def _cells(self, line: int) -> list[tuple[int, str]]:
-        """The cells of a line (from 0): the column at which each begins (from 1), and its text."""
+        """The cells of a line (from 0): the first column of each (from 1), and its text."""
         text = self.lines[line]
         cells = []
         start = 0

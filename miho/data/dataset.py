@@ -1,4 +1,4 @@
-"""A dataset: named columns in SI units, one of which is the output to be explained."""
+"""A dataset: named columns in SI units, one of them the output to be explained."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Dataset:
     held_out : Dataset, optional
         Rows with the same columns and units that no fit uses, for validation.
     reading : Reading, optional
-        Description of the file from which the data were read. It is not part of their identity.
+        Description of the source file. It is not part of the data's identity.
 
     Raises
     ------
@@ -102,7 +102,7 @@ class Dataset:
             ):  # fmt: skip
                 raise ValueError(
                     f"dataset {self.name}: held_out must have the same columns, units and output, "
-                    f"and no held_out of its own; it has {dict(apart.units)}, output "
+                    f"and no held_out rows; it has {dict(apart.units)}, output "
                     f"{apart.output!r}"
                 )
         object.__setattr__(self, "columns", columns)
@@ -120,7 +120,7 @@ class Dataset:
             ) from None
 
     def select(self, rows: NDArray[np.bool_]) -> Dataset:
-        """The rows for which a mask (N,) is True, under the same name; `held_out` is kept."""
+        """The rows with True in a mask (N,), under the same name; `held_out` is kept."""
         rows = np.asarray(rows)
         if rows.dtype != bool or rows.shape != (len(self),):
             raise ValueError(

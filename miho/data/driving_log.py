@@ -71,7 +71,7 @@ class DrivingLog:
         Whether ax and ay are readings of a sensor fixed to the car, which include the support
         against weight on a grade or bank, or accelerations of the motion (False).
     reading : Reading, optional
-        Description of the file from which the log was read.
+        Description of the source file.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def load_driving_log(
     steering_ratio : float
         Divides the steering angle, if it is measured at the hand wheel.
     sensor_x : float
-        Distance by which the vy sensor is ahead of the centre of gravity [m]; requires yaw_rate.
+        Distance of the vy sensor ahead of the centre of gravity [m]; requires yaw_rate.
     accelerometer : bool
         See `DrivingLog`.
     start, end : float

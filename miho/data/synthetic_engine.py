@@ -1,4 +1,4 @@
-"""A synthetic engine, its dyno test, and a drive from which it can be identified.
+"""A synthetic engine, its dyno test, and a drive that identifies it.
 
 The paper's dyno data and logs are not public. This turbocharged engine has the peak torque (527 Nm
 near 4900 rpm) and power (318 kW near 6150 rpm) of its class. Its closed form shows how far an

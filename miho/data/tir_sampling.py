@@ -168,11 +168,11 @@ def sample_lateral(
     alpha : sequence of float
         Bounds of the slip angle [rad], which is drawn uniformly.
     loads : sequence of float, optional
-        Loads [N], from which each row draws one; by default 0.35, 0.7, 1, 1.5 and 2.1 times FNOMIN.
+        Loads of the rows [N]; by default 0.35, 0.7, 1, 1.5 and 2.1 times FNOMIN.
     cambers : sequence of float
-        Cambers [rad], from which each row draws one.
+        Cambers of the rows [rad].
     pressures : sequence of float, optional
-        Pressures [Pa], from which each row draws one; by default 0.85, 1 and 1.15 times NOMPRES.
+        Pressures of the rows [Pa]; by default 0.85, 1 and 1.15 times NOMPRES.
     held_out : int
         Number of rows in the dataset's `held_out`, measured at other loads and cambers.
     held_out_loads, held_out_cambers : sequence of float, optional

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 COUNTED = 1.0
-"""Seconds for which a cluster's number of threads is cached."""
+"""Lifetime of the cached number of threads of a cluster [s]."""
 LEAVING = 1.0
 """Time limit [s] for giving up jobs, in case a machine does not answer."""
 
@@ -154,7 +154,7 @@ class ClusterWorkers(Generic[Job, Result]):
 
 
 def _reason(error: BaseException) -> str:
-    """The reason for which Dask gave a job up, in one line."""
+    """Dask's reason for giving a job up, in one line."""
     attempts = getattr(error, "allowed_failures", None)
     if isinstance(attempts, int):
         return f"each of the {attempts + 1} Dask workers that began it died, perhaps because of it"

@@ -108,7 +108,7 @@ class Journal:
         return len(self._values)
 
     def __iter__(self) -> Iterator[Key]:
-        """Keys of all values, in the order in which they were added."""
+        """Keys of all values, in order of addition."""
         return iter(list(self._values))  # other threads add values
 
     def __contains__(self, key: Key) -> bool:
@@ -126,7 +126,7 @@ class Journal:
         ]
 
     def place(self, key: Key) -> int:
-        """Position of a value in the order in which values were added."""
+        """Position of a value in the order of addition."""
         return self._places[key]
 
     def add(self, key: Key, value: NDArray[np.float64] | Raised) -> None:

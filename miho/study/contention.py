@@ -34,7 +34,7 @@ JUDGED_SECONDS = 0.5
 
 SINES, REPEATS = 2**14, 3
 FRESH_SECONDS = 0.1
-"""Seconds for which a measurement of the reference work remains valid."""
+"""Lifetime of a measurement of the reference work [s]."""
 
 
 @dataclass

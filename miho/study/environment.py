@@ -1,4 +1,4 @@
-"""The environment in which a run's seconds were measured: machine, versions, threads, load."""
+"""The environment of a run's timing: machine, versions, threads, load."""
 
 from __future__ import annotations
 

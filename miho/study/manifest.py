@@ -128,7 +128,7 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
 
 @dataclass
 class _DistinctValues:
-    """Distinct values, numbered in the order in which they are added."""
+    """Distinct values, numbered in order of addition."""
 
     values: list[Any] = field(default_factory=list)
     numbers: dict[str, int] = field(default_factory=dict)
@@ -142,7 +142,7 @@ class _DistinctValues:
 
 
 def _differing_keys(old: Any, new: Any, key: str = "") -> Iterator[str]:
-    """The key paths at which two configurations differ."""
+    """The key paths that differ between two configurations."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         yield key
         return

@@ -1,4 +1,4 @@
-"""The origin of results: the command that regenerates them, and the machine on which they ran."""
+"""The origin of results: the command that regenerates them, and the machine that ran it."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ from miho.study.places import inside
 from miho.study.redaction import redacted
 
 FILES = (CONFIG, ENVIRONMENT, CURVE, RESULT, PARTIAL)
-"""All files of a run, in the order in which they are written."""
+"""All files of a run, in the order of writing."""
 SUPERSEDED = ".superseded"
 RESOLUTION = 1e-3
 SPACING = 1e-2
@@ -225,7 +225,7 @@ class Store:
 
 
 def _runs_by_request(folder: Path) -> dict[str, list[str]]:
-    """Sorted names of the runs in a folder, by the request with which they begin."""
+    """Sorted names of the runs in a folder, by the request at their beginning."""
     runs: dict[str, list[str]] = {}
     for name in sorted(path.name for path in folder.iterdir()) if folder.is_dir() else ():
         runs.setdefault(name[:REQUEST], []).append(name)
