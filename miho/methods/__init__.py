@@ -1,6 +1,6 @@
-"""The methods that need nothing but NumPy and SciPy, and MIHO in its forms, under one name.
+"""Methods that need only NumPy and SciPy, and all forms of MIHO, in one namespace.
 
-Those that wrap another library are in `baselines` of the checkout.
+Methods that wrap another library are in `baselines` of the checkout.
 """
 
 from typing import TYPE_CHECKING

@@ -15,31 +15,54 @@ from miho.quantities import Array
 from miho.validate import positive, whole
 
 STOPPED = 1e10
-"""A point whose damping has grown by this factor moves no more (CGNM)."""
+"""A point stops when its damping has grown by this factor (CGNM)."""
 
 
 @dataclass(frozen=True)
 class ClusterGaussNewton(Optimizer):
-    """Aoki, Hayami, Toshimoto and Sugiyama (Optimization and Engineering 23, 2022; online 2020).
+    """Cluster Gauss-Newton method (Aoki, Hayami, Toshimoto and Sugiyama, 2022).
 
-    A cluster of N points, uniform over the box, moves for up to `iterations`. Each point has a
-    linear model of the residuals, fitted to all points' residuals by least squares with the weights
-    1 / distance^(2 gamma) (Sec. 2.2, step 2-1), and takes the step that minimises the model's sum
-    of squares with Tikhonov's damping lambda (2-2). Where that lowers the sum of squares it is
-    taken and lambda divided by 10, else the point stays and lambda is multiplied by 10 (2-3). No
-    derivatives are needed: an iteration costs one evaluation a point.
+    N points, uniform over the box, move for up to `iterations`. Each point has a linear model of
+    the residuals, fitted to all points' residuals by least squares with the weights 1 / distance^(2
+    gamma) (Sec. 2.2, step 2-1), and tries the step that minimises the model's sum of squares with
+    Tikhonov's damping lambda (2-2). If the step lowers the sum of squares, it is taken and lambda
+    is divided by 10; otherwise the point stays and lambda is multiplied by 10 (2-3). The method
+    needs no derivatives: an iteration costs one evaluation per point.
 
-    Distances are in search coordinates scaled to the unit box, which the publication scales by the
-    initial ranges too. Lambda has the unit of the squared residuals and is counted in the median
-    sum of squares of the first cluster, so that it does the same whatever that unit is. A step
-    across a bound goes half of the way to it, and a point whose lambda has grown to 1e10 of the
-    first rests: both are as in the authors' R package CGNM. The first point is the first common
-    initial configuration. A new cluster follows, `rounds` in all, or until the budget ends if that
-    is None. N residual vectors are in memory. Needs a least-squares problem.
+    Distances are in search coordinates scaled to the unit box; the publication scales them by the
+    initial ranges, too. Lambda has the unit of the squared residuals and is relative to the median
+    sum of squares of the first cluster, so that the method does not depend on that unit. A step
+    across a bound is shortened to half of the way to it, and a point whose lambda has grown to 1e10
+    times the first stops; both are as in the authors' R package CGNM. The first point is the first
+    common initial configuration. N residual vectors are kept in memory. Requires a least-squares
+    problem.
 
-    It is made to find many solutions where data determine few parameters. Of tire forces in wide
-    boxes its points come to rest above the optimum, whether distances are scaled by the box or by
+    The method is designed to find many solutions if data determine few parameters. For tire forces
+    in wide boxes its points stop above the optimum, whether distances are scaled by the box or by
     the cluster, and whether steps stop half way to a bound or at it.
+
+    Parameters
+    ----------
+    N : int
+        Points of a cluster.
+    iterations : int
+        Most iterations of a cluster.
+    damping : float
+        Initial lambda, relative to the median sum of squares.
+    gamma : float
+        Exponent of the weights.
+    rounds : int or None
+        Number of clusters; None to continue until the budget ends.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    Y. Aoki, K. Hayami, K. Toshimoto and Y. Sugiyama, "Cluster Gauss-Newton method", Optimization
+    and Engineering 23, 2022.
     """
 
     N: int = 250
@@ -69,7 +92,8 @@ class ClusterGaussNewton(Optimizer):
     def _first(
         self, look: _Residuals, rng: np.random.Generator, common: Array | None
     ) -> tuple[Array, Array]:
-        """Points (N, d) drawn until all have usable residuals (N, m); none if no draw of N has."""
+        """Points (N, d) drawn until all have usable residuals (N, m); empty if no draw of N has
+        any."""
         X: list[Array] = []
         Y: list[Array] = []
         while len(X) < self.N:
@@ -106,7 +130,7 @@ class ClusterGaussNewton(Optimizer):
 
 
 class _Residuals:
-    """Residuals (m,) at parameters (d,), None where they are not usable."""
+    """Residuals (m,) at parameters (d,); None if they are not usable."""
 
     def __init__(self, oracle: Oracle) -> None:
         self.space = oracle.space
@@ -125,18 +149,18 @@ def cluster_steps(
     X: Array, Y: Array, damping: Array, gamma: float, moving: NDArray[np.intp]
 ) -> Array:
     """Steps (k, d) of the k points `moving` of a cluster X (N, d) with residuals Y (N, m)."""
-    # In units of the largest residual: in theirs, a square may overflow.
+    # Scale by the largest residual, because squares may overflow.
     scale = float(np.abs(Y).max()) or 1.0
     Y, damping = Y / scale, damping[moving, None] / scale / scale
     if Y.shape[1] > len(Y):
-        # Coordinates in the space that the residuals span, which has N dimensions at most.
+        # Coordinates in the span of the residuals, which has at most N dimensions.
         R = np.asarray(np.linalg.qr(np.vstack([Y[1:] - Y[0], Y[:1]]).T, mode="r"))
         Y = R[:, -1] + np.vstack([np.zeros(len(R)), R[:, :-1].T])
     between = X - X[moving, None]
     squared = np.einsum("kjd,kjd->kj", between, between)
     apart = squared > 0
     nearest = np.min(squared, axis=1, initial=np.inf, where=apart)
-    # Relative to the nearest point's weight, which changes no fit: so none is infinite.
+    # Weights relative to the nearest point's: the fit is the same, and none is infinite.
     relative = np.divide(nearest[:, None], squared, out=np.zeros_like(squared), where=apart)
     weights = relative**gamma
     # (k, d, N) @ (N, m): the fit is linear in the differences of residuals.
@@ -150,7 +174,8 @@ def cluster_steps(
 
 
 def within(x: Array, step: Array) -> Array:
-    """The step (d,) from x in the unit cube; components that cross a bound go half way to it."""
+    """The step (d,) from x in the unit cube; components that cross a bound go half of the way to
+    it."""
     bound = np.where(step > 0, 1.0, 0.0)
     crosses = np.abs(step) > np.abs(bound - x)
     return np.where(crosses, (bound - x) / 2, step)

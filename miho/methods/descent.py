@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.methods.unit_box import UnitBox
@@ -30,19 +30,36 @@ def descend(
     method: str,
     looks: int | None = None,
 ) -> bool:
-    """One of SciPy's solvers from one start (d,), in the box of `space`; whether it converged.
+    """Run one of SciPy's solvers from a starting point (d,) in the box of `space`.
 
-    It looks at `looks` configurations at most, the start among them; by default SciPy's 100 a
-    parameter.
+    Parameters
+    ----------
+    residuals, jacobian : callable
+        Map parameters (d,) to residuals (m,) and derivatives (m, d).
+    start : ndarray, shape (d,)
+        Starting point.
+    space : Space
+        The box.
+    tolerance : float
+        Relative tolerance.
+    method : {'trf', 'lm'}
+        The solver.
+    looks : int, optional
+        Most configurations to evaluate, including the start; by default SciPy's 100 per parameter.
+
+    Returns
+    -------
+    bool
+        Whether the solver converged.
     """
     solve = _trust_region if method == "trf" else _levenberg_marquardt
     return solve(residuals, jacobian, start, space, tolerance, looks)
 
 
 class Lowest:
-    """Residuals that remember where their mean square was smallest: `theta` (d,), with `loss`.
+    """Residuals that record the configuration `theta` (d,) with the smallest mean square, `loss`.
 
-    Before any is evaluated these are the start and infinity.
+    Before the first evaluation these are the start and infinity.
     """
 
     def __init__(self, residuals: Vector, start: Array) -> None:
@@ -61,7 +78,7 @@ class Lowest:
 
 @contextlib.contextmanager
 def ending_where_unusable() -> Iterator[None]:
-    """Within this context, unusable residuals or derivatives end the descent without an error."""
+    """Context that ends a descent with unusable residuals or derivatives without an error."""
     with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
         yield
 
@@ -69,7 +86,7 @@ def ending_where_unusable() -> Iterator[None]:
 def local_search(
     oracle: Oracle, start: Array, tolerance: float, method: str, looks: int | None = None
 ) -> Lowest:
-    """One descent of the run from `start` (d,), and the lowest of its configurations."""
+    """One recorded descent from `start` (d,), and the best of its configurations."""
     lowest = Lowest(oracle.residuals, start)
     with ending_where_unusable(), oracle.descent() as descent:
         descent.converged = descend(
@@ -86,11 +103,11 @@ def _trust_region(
     tolerance: float,
     looks: int | None,
 ) -> bool:
-    """SciPy's trust-region reflective solver over the parameters that the residuals depend on.
+    """SciPy's trust-region reflective solver over the parameters that change the residuals.
 
-    Those are the parameters with a derivative that is not zero; the others are fixed, and freed if
-    they have one where the search ends. On a Jacobian without full rank SciPy takes only steps as
-    long as its trust region, and spends all its looks on them.
+    These are the parameters with a nonzero derivative. The others are fixed, and freed if they have
+    a nonzero derivative at the end of the search. With a rank-deficient Jacobian, SciPy's steps
+    would always be as long as its trust region and would use all evaluations.
     """
     theta, free = start.copy(), np.zeros(start.size, dtype=bool)
     converged = True
@@ -116,9 +133,9 @@ def _solve(
     tolerance: float,
     looks: int | None,
 ) -> tuple[Array, bool]:
-    """Where the solver ends over the `free` parameters (d,) from `theta`, and whether it converged.
+    """Solve over the `free` parameters (d,) from `theta`; return the end and whether it converged.
 
-    `start_values` are the residuals and the Jacobian at `theta`, which are not paid for again.
+    `start_values` are the residuals and the Jacobian at `theta`, which are not evaluated again.
     """
 
     def configuration(values: Array) -> Array:
@@ -133,7 +150,7 @@ def _solve(
     def slopes(values: Array) -> Array:
         point = configuration(values)
         columns = start_values[1] if np.array_equal(point, theta) else jacobian(point)
-        # A selection of all columns would be stored, and so rounded, in another order.
+        # A selection of all columns would have another memory order and other rounding.
         return columns if free.all() else columns[:, free]
 
     solution = scipy.optimize.least_squares(
@@ -145,7 +162,7 @@ def _solve(
         x_scale="jac",
         ftol=tolerance,
         xtol=tolerance,
-        gtol=None,  # it is absolute, and no unit of the residuals is known here
+        gtol=None,  # an absolute tolerance, but the unit of the residuals is unknown
         max_nfev=looks,
     )
     return configuration(solution.x), solution.status > 0
@@ -161,9 +178,10 @@ def _levenberg_marquardt(
 ) -> bool:
     """MINPACK's solver over angles u with x = (1 + sin u) / 2 in the unit cube.
 
-    The transformation of MINUIT (James and Roos, Computer Physics Communications 10, 1975): no look
-    leaves the box, a start on a bound cannot leave it, and towards a solution on a bound progress
-    is slow. Where residuals are fewer than parameters, which MINPACK refuses, zeros are added.
+    This is the transformation of MINUIT (James and Roos, Computer Physics Communications 10, 1975):
+    all evaluations are inside the box, a start on a bound cannot leave it, and progress towards a
+    solution on a bound is slow. MINPACK refuses fewer residuals than parameters, so zeros are
+    appended.
     """
     box = UnitBox(space)
 
@@ -189,7 +207,7 @@ def _levenberg_marquardt(
         x_scale="jac",
         ftol=tolerance,
         xtol=tolerance,
-        gtol=tolerance,  # the cosine between residuals and derivatives: it has no unit
+        gtol=tolerance,  # the cosine between residuals and derivatives, without a unit
         max_nfev=looks,
     )
     return bool(solution.status > 0)

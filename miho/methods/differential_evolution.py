@@ -1,4 +1,4 @@
-"""Differential evolution, SciPy's."""
+"""Differential evolution of SciPy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 
 from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
@@ -14,7 +14,7 @@ from miho.quantities import Array
 from miho.validate import at_least, one_of, whole
 
 LEVEL = 1e12
-"""The first loss is scaled to this, so that the polish ends by its relative tolerance."""
+"""Scaled first loss: large enough for the polish to end by its relative tolerance."""
 
 STRATEGIES = tuple(
     f"{base}{crossover}"
@@ -25,17 +25,41 @@ STRATEGIES = tuple(
 
 @dataclass(frozen=True)
 class DifferentialEvolution(Optimizer):
-    """Storn and Price (J. Global Optim. 11, 1997), as `scipy.optimize.differential_evolution`.
+    """Differential evolution (Storn and Price, 1997) by `scipy.optimize.differential_evolution`.
 
-    `popsize` members a parameter, at least 5, start at the common initial configurations and evolve
-    generation by generation (deferred updating, so that a generation is one batch), over the search
-    coordinates scaled to the unit box. `mutation_low` to `mutation_high` is the range of the
-    dithered mutation constant. A population converges when the standard deviation of its losses is
-    at most `tol` of their mean; with `polish`, L-BFGS-B then goes on from its best, with finite
-    differences that are charged, until a step gains less than 2.2e-9 of the loss: losses are scaled
-    up so far that its other test, of the gradient, which is absolute, does not end it before. A
-    converged population is replaced by a fresh one drawn from the initial distribution, until the
-    budget ends.
+    A population starts at the common initial configurations and evolves generation by generation
+    (deferred updating, so that a generation is one batch) over the search coordinates scaled to the
+    unit box. A converged population is replaced by a new one from the initial distribution, until
+    the budget ends.
+
+    Parameters
+    ----------
+    strategy : str
+        Strategy, one of `STRATEGIES`.
+    popsize : int
+        Members per parameter; a population has at least 5 members.
+    maxiter : int
+        Most generations of a population.
+    tol, atol : float
+        A population converges when the standard deviation of its losses is at most atol + tol times
+        their mean.
+    mutation_low, mutation_high : float
+        Range of the dithered mutation constant.
+    recombination : float
+        Crossover probability.
+    polish : bool
+        Whether L-BFGS-B continues from the best member of a converged population, until a step
+        gains less than 2.2e-9 of the loss. Its finite differences are charged. Losses are scaled up
+        so that its other test, an absolute tolerance of the gradient, does not end it earlier.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    R. Storn and K. Price, J. Global Optim. 11, 1997.
     """
 
     loads = ("scipy.optimize",)
@@ -62,13 +86,13 @@ class DifferentialEvolution(Optimizer):
             raise ValueError(f"recombination is {self.recombination!r}; expected at most 1")
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Evolve one population after the other until the budget ends."""
+        """Evolve populations until the budget ends."""
         members = max(5, self.popsize * len(oracle.space))
         losses = UnitOracle(oracle, members, LEVEL)
         population = losses.start
 
         def objective(x: Array) -> Any:
-            """Of columns (d, n), as SciPy's `vectorized` has it, or of one point (d,)."""
+            """Losses of columns (d, n), for SciPy's `vectorized`, or the loss of one point (d,)."""
             return losses(x.T) if x.ndim == 2 else float(losses(x[None])[0])
 
         settings: dict[str, Any] = {

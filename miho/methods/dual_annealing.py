@@ -1,4 +1,4 @@
-"""Dual annealing, SciPy's."""
+"""Dual annealing of SciPy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 
 from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
@@ -14,22 +14,44 @@ from miho.quantities import Array
 from miho.validate import whole
 
 LEVEL = 1e3
-"""The first loss is scaled to this: by about as much a step may be worse at first (5230 / 6)."""
+"""Scaled first loss: about the increase that a step may have at first (5230 / 6)."""
 
 
 @dataclass(frozen=True)
 class DualAnnealing(Optimizer):
-    """Generalised simulated annealing with local search (Xiang et al., Phys. Lett. A 233, 1997).
+    """Generalised simulated annealing with local search (Xiang et al., 1997).
 
-    `scipy.optimize.dual_annealing` over the search coordinates scaled to the unit box, as its
-    visiting steps and the differences of its local search (L-BFGS-B, charged like all evaluations)
-    have one absolute size for all parameters. `maxiter` steps from the first common initial
-    configuration, then from fresh draws of the initial distribution, until the budget ends.
+    `scipy.optimize.dual_annealing` searches the search coordinates scaled to the unit box, because
+    its visiting steps and the differences of its local search (L-BFGS-B; all evaluations are
+    charged) have the same absolute size for all parameters. It starts at the first common initial
+    configuration, then at new draws from the initial distribution, until the budget ends.
 
-    Temperatures are differences of losses, and with `accept` = -5 nothing is accepted that is worse
-    by more than a sixth of them. SciPy's fall from 5230 to 1.5e-4 in a thousand steps. Losses are
-    scaled so that the first one is 1000: the walk is free at first, and refuses at last whatever is
-    worse by 2.5e-8 of the first loss.
+    Temperatures are differences of losses: with `accept` = -5, no increase larger than a sixth of
+    the temperature is accepted. SciPy's temperature falls from 5230 to 1.5e-4 in a thousand steps.
+    Losses are scaled so that the first loss is 1000, so the walk is free at first and at the end
+    refuses any increase of more than 2.5e-8 of the first loss.
+
+    Parameters
+    ----------
+    maxiter : int
+        Steps per start.
+    initial_temp : float
+        Initial temperature.
+    restart_temp_ratio : float
+        SciPy restarts the annealing at this relative temperature.
+    visit, accept : float
+        Parameters of the visiting and the acceptance distribution.
+    local_search : bool
+        Whether to use the local search.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    Y. Xiang et al., Phys. Lett. A 233, 1997.
     """
 
     loads = ("scipy.optimize",)
@@ -53,7 +75,7 @@ class DualAnnealing(Optimizer):
                 raise ValueError(f"{field} is {value!r}; expected above {low:g}, at most {high:g}")
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Anneal again and again until the budget ends."""
+        """Anneal repeatedly until the budget ends."""
         losses = UnitOracle(oracle, 1, LEVEL)
         start = losses.start[0]
 

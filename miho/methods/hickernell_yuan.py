@@ -1,4 +1,4 @@
-"""The multi-start of Hickernell and Yuan, as R's gslnls has it."""
+"""The multistart of Hickernell and Yuan, as implemented in R's gslnls."""
 
 from __future__ import annotations
 
@@ -26,34 +26,70 @@ from miho.quantities import Array
 from miho.validate import at_least, positive, whole
 
 LOWER = 0.99
-"""A stationary point is a new one below this share of the best sum of squares (gslnls)."""
+"""A stationary point is new if its sum of squares is below this share of the best (gslnls)."""
 CENTRED = 0.75
-"""The power by which starts are drawn to the ranges' smallest values at first (gslnls)."""
+"""Initial power that draws starting points towards the values nearest to zero (gslnls)."""
 
 
 @dataclass(frozen=True)
 class HickernellYuan(Optimizer):
-    """A simple multistart algorithm (Hickernell and Yuan, OR Transactions 1, 1997), as in gslnls.
+    """A simple multistart algorithm (Hickernell and Yuan, 1997), as in gslnls.
 
-    With the changes of R's gslnls 1.4, which documents its settings by the publication's symbols
-    (`mstart_n` is N, and so on). A major iteration fills the sample up to N quasi-random points and
-    concentrates it, with p iterations of the local solver from each. The q best are retained; one
-    that has been retained s times is searched from, with up to `search` iterations, if it is within
-    a share epsilon of the best. An end that is lower than the best by 1 % is a new stationary
-    point; all else that was retained counts as worse. The run has converged with NSP stationary
-    points, `least` at least, and more than r + sqrt(r) NSP worse ones since the last; then, or
-    after `major` iterations, a search of up to `final` iterations goes on from the best. Points
-    whose Jacobian has not full rank are dropped.
+    A major iteration fills the sample up to N quasi-random points and concentrates it by p
+    iterations of the local solver from each. The q best points are retained. A point that has been
+    retained s times starts a search if it is within a share epsilon of the best. An end that is
+    lower than the best by 1 % is a new stationary point; all other retained points count as worse.
+    The run has converged with NSP stationary points, at least `least`, and more than r + sqrt(r)
+    NSP worse points since the last. Then, or after `major` iterations, a final search continues
+    from the best. Points with a rank-deficient Jacobian are dropped.
 
-    Starts are drawn towards the smallest values of a range: a distance a from there becomes
-    ((1 + a)^k - 1) / k, with k from the scales of the parameters at the last stationary point.
+    Starting points are drawn towards the value of each range that is nearest to zero: a distance a
+    from there becomes ((1 + a)^k - 1) / k, with k from the scales of the parameters at the last
+    stationary point.
 
-    Of gslnls this differs in that ranges are in search coordinates; that the Sobol sequence is
-    scrambled; that its first point is the first common initial configuration; that the local solver
-    is SciPy's trust-region reflective one, where an iteration is a look; and that full rank is
-    judged with columns of norm 1, where gslnls has a determinant that depends on the units. Begins
-    anew for `rounds` in all, or until the budget ends if that is None. Needs a least-squares
-    problem.
+    The settings are documented in R's gslnls 1.4 by the publication's symbols (`mstart_n` is N, and
+    so on). This implementation differs from gslnls: ranges are in search coordinates; the Sobol
+    sequence is scrambled; its first point is the first common initial configuration; the local
+    solver is SciPy's trust-region reflective solver, with one evaluation per iteration; and
+    rank is judged with columns of norm 1, whereas gslnls uses a determinant that depends on the
+    units. Requires a least-squares problem.
+
+    Parameters
+    ----------
+    N : int
+        Points of the sample.
+    p : int
+        Iterations of the local solver that concentrate the sample.
+    q : int
+        Retained points.
+    r : float
+        Controls the number of worse points before convergence.
+    s : int
+        Number of times that a point is retained before it starts a search.
+    epsilon : float
+        Share of the best sum of squares within which a point may start a search.
+    search : int
+        Most iterations of a search.
+    major : int
+        Most major iterations.
+    least : int
+        Smallest number of stationary points.
+    final : int
+        Most iterations of the final search.
+    tolerance : float
+        Relative tolerance of the local solver.
+    rounds : int or None
+        Number of complete repetitions; None to continue until the budget ends.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    F. J. Hickernell and Y. Yuan, "A simple multistart algorithm for global optimization", OR
+    Transactions 1, 1997.
     """
 
     loads = ("scipy.stats",)
@@ -84,7 +120,7 @@ class HickernellYuan(Optimizer):
             whole("rounds", self.rounds, 1, LARGEST_BATCH)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Sample, concentrate and search until enough was no better; `rounds` times."""
+        """Sample, concentrate and search until enough points were no better; `rounds` times."""
         common: Array | None = oracle.space.decode(oracle.space.initial(1))[0]
         for _ in count() if self.rounds is None else range(self.rounds):
             sample = _Sample(oracle, rng, self.N, common)
@@ -97,7 +133,8 @@ class HickernellYuan(Optimizer):
                 local_search(oracle, sample.best, self.tolerance, "trf", 1 + self.final)
 
     def converged(self, stationary: int, worse: int) -> bool:
-        """Whether NSP `stationary` points and NWSP `worse` ones since the last are enough."""
+        """Return whether NSP `stationary` points and NWSP `worse` points since the last are
+        enough."""
         return stationary >= self.least and worse > self.r + math.sqrt(self.r) * stationary
 
     def _iterate(self, oracle: Oracle, sample: _Sample) -> None:
@@ -138,10 +175,10 @@ class HickernellYuan(Optimizer):
 
 
 class _Slopes:
-    """Jacobians (m, d) that remember their scale and rank; ValueError if the first lacks rank.
+    """Jacobians (m, d) that record their scale and rank; ValueError if the first lacks full rank.
 
-    `scale` (d,) are the largest norms of the columns, in search coordinates (Moré's); `full_rank`
-    is of the last Jacobian.
+    `scale` (d,) are the largest norms of the columns, in search coordinates (Moré's scaling);
+    `full_rank` refers to the last Jacobian.
     """
 
     def __init__(self, oracle: Oracle) -> None:
@@ -159,12 +196,12 @@ class _Slopes:
         first, self.scale = not self.scale.any(), np.maximum(self.scale, norms)
         self.full_rank = bool((norms > 0).all()) and _independent(columns / norms)
         if first and not self.full_rank:
-            raise ValueError("the Jacobian has not full rank")
+            raise ValueError("the Jacobian does not have full rank")
         return jacobian
 
 
 def _independent(columns: Array) -> bool:
-    """Whether columns (m, d) of norm 1 are independent, as far as their Gram matrix can tell."""
+    """Return whether columns (m, d) of norm 1 are independent according to their Gram matrix."""
     smallest = np.linalg.eigvalsh(columns.T @ columns)[0]
     return bool(smallest > columns.shape[1] * SMALLEST_TOLERANCE)
 
@@ -173,7 +210,7 @@ def _independent(columns: Array) -> bool:
 class _Sample:
     """N points `thetas` (N, d) and their `losses`, with the best and the counts so far.
 
-    `retained` (N,) counts the major iterations that a point has been among the q best.
+    `retained` (N,) counts the major iterations with a point among the q best.
     """
 
     oracle: Oracle
@@ -199,7 +236,7 @@ class _Sample:
         self.best = np.empty(d)
 
     def fill(self) -> None:
-        """Draw a new point for each that is not retained."""
+        """Replace each point that is not retained by a new draw."""
         space = self.oracle.space
         low, high = space.bounds
         new = np.flatnonzero(self.retained == 0)
@@ -210,7 +247,8 @@ class _Sample:
             self.thetas[0], self.common = self.common, None
 
     def retain(self, q: int, s: int) -> list[int]:
-        """Count the q best as retained once more; those that now are for the s-th time leave."""
+        """Count the q best as retained once more; return and release points retained for the s-th
+        time."""
         best = np.argsort(self.losses, kind="stable")[:q]
         best = best[np.isfinite(self.losses[best])]
         counts = self.retained[best] + 1

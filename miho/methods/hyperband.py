@@ -1,4 +1,4 @@
-"""Hyperband and successive halving as published: synchronous, with rows of data as resource."""
+"""Hyperband and successive halving as published: synchronous, with rows of data as the resource."""
 
 from __future__ import annotations
 
@@ -16,18 +16,35 @@ from miho.validate import whole
 
 @dataclass(frozen=True)
 class Hyperband(Optimizer):
-    """Li, Jamieson, DeSalvo, Rostamizadeh and Talwalkar (JMLR 18, 2018), Alg. 1.
+    """Hyperband (Li, Jamieson, DeSalvo, Rostamizadeh and Talwalkar, 2018), Alg. 1.
 
-    The resource is data: a rung evaluates its configurations on r / R of the rows and hands the
-    best one in eta to the next rung, which evaluates them anew on eta times as many; the last
-    rung of every bracket sees all rows, and only its losses can become best. Configurations are
-    drawn from the initial distribution, the first bracket's are the common ones. Repeats its
-    brackets until the budget ends.
+    The resource is data: a rung evaluates its configurations on r / R of the rows. The best one in
+    eta of them is evaluated again on the next rung, on eta times as many rows. The last rung of
+    every bracket uses all rows, and only its losses can become best. Configurations are drawn from
+    the initial distribution; the first bracket uses the common ones. Brackets are repeated until
+    the budget ends.
 
-    Nothing is learnt from one configuration for the next: this is random search that spends less
-    on hopeless draws, and it cannot do better than the best draw. Where the order of the rows
-    matters, every rung uses and is charged for all of them (`Problem.cost`), and its losses can
-    become best: there the method is random search that evaluates good draws again.
+    Nothing is learned from one configuration for the next: this is random search that spends less
+    on poor draws, and it cannot be better than the best draw. If the order of the rows matters,
+    every rung uses all rows and is charged for them (`Problem.cost`), and its losses can become
+    best; the method is then random search that evaluates good draws again.
+
+    Parameters
+    ----------
+    R : int
+        Ratio of all rows to the smallest resource.
+    eta : int
+        Factor between rungs.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    L. Li et al., "Hyperband: a novel bandit-based approach to hyperparameter optimization", JMLR
+    18, 2018.
     """
 
     R: int = 81
@@ -40,17 +57,36 @@ class Hyperband(Optimizer):
         whole("R: configurations in the first bracket", first, 1, LARGEST_BATCH)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Go through the brackets until the budget ends."""
+        """Repeat the brackets until the budget ends."""
         _repeat(hyperband_table(self.R, self.eta, "floor"), self.R, oracle, rng)
 
 
 @dataclass(frozen=True)
 class SuccessiveHalving(Optimizer):
-    """Jamieson and Talwalkar (AISTATS 2016), with rows of data as resource, as `Hyperband` has it.
+    """Successive halving (Jamieson and Talwalkar, 2016) with rows of data as the resource.
 
-    `n` configurations start on the fraction 1 / R of the rows, or up to eta times that if R is no
-    power of eta; each rung keeps one in eta, at least one, and the last sees all rows. Repeats
-    with fresh configurations until the budget ends.
+    `n` configurations start on the fraction 1 / R of the rows, or up to eta times that if R is not
+    a power of eta. Each rung keeps one in eta, at least one, and the last rung uses all rows, as in
+    `Hyperband`. The method repeats with new configurations until the budget ends.
+
+    Parameters
+    ----------
+    n : int
+        Configurations of the first rung.
+    R : int
+        Ratio of all rows to the smallest resource.
+    eta : int
+        Factor between rungs.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    K. Jamieson and A. Talwalkar, "Non-stochastic best arm identification and hyperparameter
+    optimization", AISTATS 2016.
     """
 
     n: int = 64
@@ -73,7 +109,7 @@ class SuccessiveHalving(Optimizer):
 
 
 def _repeat(rungs: Sequence[Rung], R: int, oracle: Oracle, rng: np.random.Generator) -> None:
-    """Run the rungs over and over; each bracket draws afresh."""
+    """Run the rungs repeatedly; each bracket draws new configurations."""
     space = oracle.space
     coordinates, losses = space.initial(rungs[0].n), np.zeros(rungs[0].n)
     for repetition in count():

@@ -1,4 +1,4 @@
-"""Multi-start nonlinear least squares: what an expert would try first."""
+"""Multistart nonlinear least squares, the method that an expert would try first."""
 
 from __future__ import annotations
 
@@ -16,25 +16,38 @@ from miho.quantities import Array
 from miho.validate import at_least, one_of, whole
 
 SCREENING = 0.2
-"""A round of screening takes at most this share of the budget that is left."""
+"""Largest share of the remaining budget for a round of screening."""
 TICK = 1e-6
-"""Seconds: shorter batches are not timed."""
+"""Shortest measurable duration of a batch [s]."""
 
 
 @dataclass(frozen=True)
 class LeastSquares(Optimizer):
     """Screen random configurations, then run one of SciPy's solvers from the best.
 
-    A round screens `screen` configurations and starts the solver from the `starts` best of them.
-    The first round screens the common initial configurations. Ends after `rounds` rounds, because
-    a method that has converged should say so; goes on until the budget ends if `rounds` is None.
-    Screening takes a fifth of the evaluations and seconds left at most.
-    Needs a least-squares problem.
+    The first round screens the common initial configurations. Screening uses at most a fifth of the
+    remaining evaluations and seconds. Requires a least-squares problem.
 
-    `method` is the solver: `trf`, the trust-region reflective one, which knows bounds, or `lm`,
-    MINPACK's Levenberg-Marquardt, which knows none and moves in transformed parameters. Both are
-    scaled by the Jacobian, stop at a relative change of `tolerance`, and at the latest after
-    SciPy's 100 looks per parameter.
+    Parameters
+    ----------
+    screen : int
+        Configurations that a round screens.
+    starts : int
+        Number of best configurations that start the solver in each round.
+    rounds : int or None
+        Rounds after which the method ends as converged; None to continue until the budget ends.
+    tolerance : float
+        A descent stops at this relative change. It also stops after SciPy's 100 evaluations per
+        parameter.
+    method : {'trf', 'lm'}
+        The solver: trust-region reflective, which supports bounds, or MINPACK's
+        Levenberg-Marquardt, which does not and uses transformed parameters. Both are scaled by the
+        Jacobian.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     loads = ("scipy.optimize",)
@@ -60,7 +73,7 @@ class LeastSquares(Optimizer):
 
 
 def check_starts(screen: int, starts: int, rounds: int | None) -> None:
-    """Raise ValueError unless these settings of `multi_start` can be used."""
+    """Raise ValueError unless these settings of `multi_start` are valid."""
     whole("screen", screen, 1, LARGEST_BATCH)
     whole("starts", starts, 1, LARGEST_BATCH)
     if rounds is not None:
@@ -77,9 +90,9 @@ def multi_start(
 ) -> None:
     """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times.
 
-    Without end if `rounds` is None: the budget is to stop it. `solve` says whether it converged;
-    each call is kept as a descent of the run. Screening a round takes SCREENING of the evaluations
-    and seconds left at most, so that a slow model gets its descents too.
+    If `rounds` is None, only the budget stops it. `solve` returns whether it converged; each call
+    is recorded as a descent of the run. Screening a round uses at most SCREENING of the remaining
+    evaluations and seconds, so that a slow model gets its descents too.
     """
     space = oracle.space
     coordinates = space.initial(screen)
@@ -96,9 +109,10 @@ def multi_start(
 
 
 def screening_losses(oracle: Oracle, thetas: Array) -> Array:
-    """Losses of the first of `thetas` (n, d), as many as SCREENING of the budget pays for.
+    """Losses of the first of `thetas` (n, d), as many as SCREENING of the budget allows.
 
-    With a limit in seconds they come in growing batches: only those before tell how long one takes.
+    With a time limit they are evaluated in growing batches, because only earlier batches show the
+    duration of an evaluation.
     """
     most = len(thetas)
     if math.isfinite(oracle.remaining):

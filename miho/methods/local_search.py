@@ -1,4 +1,4 @@
-"""Multi-start local search that needs only the loss, or the loss and its gradient."""
+"""Multistart local search that needs only the loss, or the loss and its gradient."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 
 from miho.methods.least_squares import check_starts, multi_start
 from miho.methods.unit_box import UnitBox
@@ -19,21 +19,38 @@ from miho.validate import positive, whole
 Slope = Callable[[Array], tuple[float, Array]]
 
 LARGE = 1e12
-"""What the loss at the start of a descent is scaled to."""
+"""Scaled loss at the start of a descent."""
 STEP = math.sqrt(np.finfo(float).eps)
-"""Of the range: the forward difference that balances truncation and rounding."""
+"""Forward difference, relative to the range, that balances truncation and rounding."""
 
 
 @dataclass(frozen=True)
 class LBFGSB(Optimizer):
-    """Multi-start L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995) in the unit cube.
+    """Multistart L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995) in the unit cube.
 
-    Rounds of screening and starts are those of `LeastSquares`. A least-squares problem gives the
-    gradient, 2/N J^T r, at the cost of its Jacobian; any other is differenced, at d evaluations a
-    gradient. A descent ends where a step gains less than `tolerance` of the loss: for that the
-    loss is scaled up, since SciPy's measure is absolute for losses below one. A configuration
-    without a finite loss counts as twice the worst one of the descent, with no slope, so that the
-    line search turns back.
+    Rounds of screening and starting points are as in `LeastSquares`. A least-squares problem
+    provides the gradient 2/N J^T r at the cost of its Jacobian; other problems are differenced, at
+    d evaluations per gradient. A configuration without a finite loss counts as twice the worst loss
+    of the descent, with zero gradient, so that the line search turns back.
+
+    Parameters
+    ----------
+    screen, starts, rounds
+        See `LeastSquares`.
+    tolerance : float
+        A descent ends when a step gains less than this share of the loss. The loss is scaled up for
+        that, because SciPy's criterion is absolute for losses below one.
+    memory : int
+        Number of stored corrections.
+    line_search : int
+        Most evaluations of a line search.
+    iterations : int
+        Most iterations and evaluations of a descent.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     loads = ("scipy.optimize",)
@@ -66,7 +83,7 @@ class LBFGSB(Optimizer):
                 options={
                     "maxcor": self.memory,
                     "ftol": self.tolerance,
-                    "gtol": 0.0,  # it is absolute, and no unit of the loss is known here
+                    "gtol": 0.0,  # an absolute tolerance, but the unit of the loss is unknown
                     "maxiter": self.iterations,
                     "maxfun": self.iterations,
                     "maxls": self.line_search,
@@ -79,13 +96,27 @@ class LBFGSB(Optimizer):
 
 @dataclass(frozen=True)
 class NelderMead(Optimizer):
-    """Multi-start Nelder-Mead with coefficients for the dimension (Gao and Han, 2012).
+    """Multistart Nelder-Mead with coefficients that depend on the dimension (Gao and Han, 2012).
 
-    Rounds of screening and starts are those of `LeastSquares`; the search is SciPy's, in the unit
-    cube. The first simplex has edges of `edge` of the range, turned inwards at an upper bound. A
-    descent ends when the simplex is smaller than `tolerance` of the range, or after `evaluations`
-    per parameter. Only comparisons count: the method needs no derivatives and takes an infinite
-    loss as it is, but it is slow beyond some ten parameters and may stop where nothing is optimal.
+    Rounds of screening and starting points are as in `LeastSquares`; the search is SciPy's, in the
+    unit cube. Only comparisons matter: the method needs no derivatives and accepts infinite losses,
+    but it is slow beyond about ten parameters and may stop at points that are not optimal.
+
+    Parameters
+    ----------
+    screen, starts, rounds
+        See `LeastSquares`.
+    tolerance : float
+        A descent ends when the simplex is smaller than this share of the range.
+    edge : float
+        Edges of the first simplex as a share of the range; they point inwards at an upper bound.
+    evaluations : int
+        Most evaluations of a descent, per parameter.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     loads = ("scipy.optimize",)
@@ -124,7 +155,7 @@ class NelderMead(Optimizer):
                     "adaptive": True,
                     "initial_simplex": np.vstack([x, x + np.diag(inwards)]),
                     "xatol": self.tolerance,
-                    "fatol": math.inf,  # it is absolute, and no unit of the loss is known here
+                    "fatol": math.inf,  # an absolute tolerance, but the unit is unknown
                     "maxfev": self.evaluations * d,
                     "maxiter": self.evaluations * d,
                 },
@@ -135,7 +166,7 @@ class NelderMead(Optimizer):
 
 
 class _ScaledLoss:
-    """Loss and gradient for one descent, scaled to be LARGE where it starts, finite everywhere."""
+    """Loss and gradient for one descent, scaled to LARGE at its start and finite everywhere."""
 
     def __init__(self, slope: Slope) -> None:
         self._slope = slope
@@ -147,7 +178,7 @@ class _ScaledLoss:
         usable = math.isfinite(loss) and bool(np.isfinite(gradient).all())
         if self._scale is None:
             if not usable:
-                raise ValueError("a descent cannot start where loss or gradient is not finite")
+                raise ValueError("a descent cannot start: its loss or gradient is not finite")
             self._scale = LARGE / abs(loss) if loss != 0 else 1.0
         if not usable:
             return self._worst + abs(self._worst), np.zeros_like(x)

@@ -1,4 +1,4 @@
-"""Losses as a wrapped library sees them: in no unit, and a number for every point."""
+"""Losses for a wrapped library: without a unit, and finite for every point."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ import numpy as np
 from miho.quantities import Array
 
 UNUSABLE = 1e100
-"""The loss of a point that has none: its square and its slope over a step of 1e-8 are finite."""
+"""The loss of a point without a finite loss; its square and its slope over a step of 1e-8 are
+finite."""
 
 
 @dataclass
 class LossScale:
-    """Scales all losses of a run alike, so that the first one that is finite and not 0 is `level`.
+    """Scale all losses of a run so that the first finite nonzero loss is `level`.
 
-    Libraries have tolerances and temperatures that are absolute, in the unit of the loss; with this
-    they do the same whatever that unit is. The first loss is mostly that of the first common
-    configuration: within a problem and a seed all methods have the same measure.
+    Libraries have absolute tolerances and temperatures in the unit of the loss. With this scale
+    their behaviour does not depend on that unit. The first loss is usually the loss of the first
+    common configuration, so all methods have the same scale for a problem and a seed.
     """
 
     level: float
     factor: float | None = None
 
     def __call__(self, losses: Array) -> Array:
-        """Losses (n,), `UNUSABLE` where they are +inf or too large."""
+        """Losses (n,); `UNUSABLE` where they are +inf or too large."""
         if self.factor is None:
             sizes = np.abs(losses[np.isfinite(losses) & (losses != 0)])
             if sizes.size:

@@ -13,12 +13,12 @@ from miho.validate import at_least, one_of, positive, whole
 
 BOUNDS = ("clip", "none")
 FAR = 1e12
-"""Ranges of the box from where a particle does not come back: its steps are as long."""
+"""Distance from the box, in ranges, from which a particle never returns: its steps are as long."""
 
 
 @dataclass
 class PSOState:
-    """Positions, velocities and the particles' own best positions (n, d), in search coordinates."""
+    """Positions, velocities and the particles' best positions (n, d), in search coordinates."""
 
     space: Space
     rng: np.random.Generator
@@ -31,18 +31,18 @@ class PSOState:
 
 @dataclass(frozen=True)
 class PSO(AskTell[PSOState]):
-    """v <- w v + c1 r1 (own best - x) + c2 r2 (swarm's best - x);  x <- x + v.
+    """v <- w v + c1 r1 (own best - x) + c2 r2 (swarm's best - x); x <- x + v.
 
-    Particles start at rest at the first common configurations. Runs until the budget ends, or
-    until a swarm without bounds has diverged.
+    Particles start at rest at the first common configurations. The run continues until the budget
+    ends, or until a swarm without bounds has diverged.
 
     Parameters
     ----------
     particles : int
         Size of the swarm.
     c1, c2 : float
-        Acceleration towards a particle's own best and the swarm's best position. The defaults are
-        those of the paper's reference [5].
+        Acceleration towards a particle's best position and the swarm's best position. The defaults
+        are from the paper's reference [5].
     inertia_start, inertia_end : float
         The inertia w falls linearly from the first to the second over `iterations`, and then stays
         (Shi and Eberhart, 1999). The paper does not give w. The swarm of Kennedy and Eberhart
@@ -57,7 +57,7 @@ class PSO(AskTell[PSOState]):
     bounds : {"clip", "none"}
         "clip": a particle that meets a bound stops there. "none": particles may leave the box.
     sampling : {"normal", "uniform_plus_noise", "uniform"}
-        Distribution of the first positions, as in `miho.optim.Space.sample`.
+        Distribution of the first positions, see `miho.optim.Space.sample`.
 
     Raises
     ------
@@ -99,11 +99,11 @@ class PSO(AskTell[PSOState]):
 
     def ask(self, state: PSOState) -> Array:
         """The particles' positions."""
-        with np.errstate(over="ignore"):  # of a swarm without bounds on a log scale
+        with np.errstate(over="ignore"):  # a swarm without bounds on a log scale may overflow
             return state.space.decode(state.positions)
 
     def tell(self, state: PSOState, thetas: Array, losses: Array) -> None:
-        """Update the bests, then move every particle."""
+        """Update the best positions, then move every particle."""
         better = losses < state.best_losses
         state.best[better] = state.positions[better]
         state.best_losses[better] = losses[better]
@@ -124,7 +124,8 @@ class PSO(AskTell[PSOState]):
         state.iteration += 1
 
     def done(self, state: PSOState) -> bool:
-        """Whether a swarm without bounds has diverged: no particle is within FAR of the box."""
+        """Return whether a swarm without bounds has diverged: no particle is within FAR of the
+        box."""
         if self.bounds != "none":
             return False
         low, high = state.space.bounds

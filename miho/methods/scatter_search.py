@@ -14,31 +14,58 @@ from miho.quantities import Array
 from miho.validate import at_least, one_of, positive, whole
 
 STRATA = 5
-"""Diverse points beside the uniform ones; the k-th is in the k-th fifth of all ranges (MEIGO)."""
+"""Diverse points in addition to the uniform points; the k-th is in the k-th fifth of all ranges
+(MEIGO)."""
 SAME = 0.01
-"""Of the range: a local solution that is closer to an earlier one in all coordinates is none."""
+"""A local solution within this share of the range of an earlier one, in all coordinates, is not
+new."""
 
 
 @dataclass(frozen=True)
 class ScatterSearch(Optimizer):
-    """eSS of Egea, Balsa-Canto, García and Banga (Ind. Eng. Chem. Res. 48, 2009), as in MEIGO.
+    """eSS of Egea, Balsa-Canto, García and Banga (2009), as in MEIGO.
 
-    A reference set of `members` (by default the smallest even b with b^2 - b >= 10 d) is taken
-    from `diverse` points a parameter: half of it the best, half of it at random. In each iteration
-    every member makes a child with every other, drawn from a rectangle that the better of the two
-    biases (Sec. 3.2); the best child of a member that is better than it goes on in its direction as
-    long as that helps (go-beyond, Sec. 3.4) and takes its place. A member without a better child
-    for `patience` iterations, and one within `twins` of the range of a better one in all
-    coordinates, is replaced by a uniform draw.
+    A reference set is selected from diverse points: half of it the best, half of it at random. In
+    each iteration every member makes a child with every other, drawn from a rectangle that is
+    biased towards the better of the two (Sec. 3.2). The best child of a member, if better than the
+    member, continues in its direction as long as that helps (go-beyond, Sec. 3.4) and replaces the
+    member.
 
     A local search starts after `first` iterations from the best member, then every `between`
-    iterations from the child with the best `balance` of ranks, between 0 by loss and 1 by the
-    distance to earlier starts and solutions; its solution takes the place of the child's parent if
-    it is better and new. It is that of `LeastSquares`, as AMIGO has NL2SOL for least squares.
+    iterations from the child with the best combination of ranks by loss and by distance to earlier
+    starts and solutions. Its solution replaces the child's parent if it is better and new. The
+    local search is the solver of `LeastSquares`; AMIGO uses NL2SOL for least squares.
 
-    Searches the search coordinates scaled to the unit box, at whose bounds rectangles are cut,
-    until the budget ends. The first diverse point is the first common initial configuration.
-    Needs a least-squares problem.
+    The search is over the search coordinates scaled to the unit box, at whose bounds rectangles are
+    cut, until the budget ends. The first diverse point is the first common initial configuration.
+    Requires a least-squares problem.
+
+    Parameters
+    ----------
+    diverse : int
+        Diverse points per parameter.
+    members : int, optional
+        Size b of the reference set; by default the smallest even b with b^2 - b >= 10 d.
+    first, between : int
+        Iterations before the first local search, and between two local searches.
+    balance : float
+        Weight of the distance in the choice of a child, from 0 (only loss) to 1 (only distance).
+    patience : int
+        Iterations without a better child after which a member is replaced by a uniform draw.
+    twins : float
+        A member within this share of the range of a better one, in all coordinates, is replaced by
+        a uniform draw.
+    tolerance, method
+        See `LeastSquares`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    J. A. Egea, E. Balsa-Canto, M. G. García and J. R. Banga, Ind. Eng. Chem. Res. 48, 2009.
     """
 
     loads = ("scipy.optimize",)
@@ -102,9 +129,10 @@ class ScatterSearch(Optimizer):
                     members.replace(parent, solution, lowest.loss)
 
     def choice(self, children: Array, losses: Array, searched: list[Array]) -> tuple[int, int]:
-        """Parent and number of the child to search from, of children (b, b - 1, d).
+        """Parent and number of the child that starts a search, of children (b, b - 1, d).
 
-        By the rank of its loss (b, b - 1), and of its distance to the points `searched` before.
+        The choice depends on the ranks of the losses (b, b - 1) and of the distances to the points
+        `searched` before.
         """
         d = children.shape[-1]
         apart = np.linalg.norm(children.reshape(-1, 1, d) - np.array(searched), axis=2).min(axis=1)
@@ -118,7 +146,7 @@ class ScatterSearch(Optimizer):
 class _ReferenceSet:
     """Members x (b, d) in the unit box with their `losses` (b,), the best first after sorting.
 
-    `stuck` (b,) counts the iterations that a member has had no better child.
+    `stuck` (b,) counts the iterations since a member had a better child.
     """
 
     def __init__(self, oracle: Oracle, rng: np.random.Generator, b: int, diverse: int) -> None:
@@ -142,7 +170,8 @@ class _ReferenceSet:
         self.x[i], self.losses[i], self.stuck[i] = x, loss, 0
 
     def replace_twins(self, twins: float) -> None:
-        """Sort, and replace members that are within `twins` of better ones, until none is."""
+        """Sort, and replace members that are within `twins` of better ones, until there are
+        none."""
         while True:
             order = np.argsort(self.losses, kind="stable")
             self.x, self.losses, self.stuck = self.x[order], self.losses[order], self.stuck[order]
@@ -160,7 +189,8 @@ class _ReferenceSet:
         return children, losses.reshape(low.shape[:2])
 
     def update(self, children: Array, losses: Array, patience: int) -> None:
-        """Members give way to better children, and to uniform draws where none was for long."""
+        """Replace members by better children, and by uniform draws after `patience` iterations
+        without any."""
         for i, best in enumerate(np.argmin(losses, axis=1)):
             if losses[i, best] < self.losses[i]:
                 self.replace(i, *self._beyond(i, children[i, best], float(losses[i, best])))
@@ -177,7 +207,8 @@ class _ReferenceSet:
         return float(self._oracle(self.box.theta(x)[None])[0])
 
     def _beyond(self, i: int, child: Array, loss: float) -> tuple[Array, float]:
-        """The last improvement on a child better than its parent, the i-th (Algorithm 1)."""
+        """The last improvement on a child that is better than its parent, the i-th (Algorithm
+        1)."""
         parent, parent_loss = self.x[i], float(self.losses[i])
         reach, improvements = 1.0, 1
         best, least = child, loss
@@ -196,8 +227,8 @@ class _ReferenceSet:
 def rectangles(x: Array) -> tuple[Array, Array]:
     """Corners (b, b - 1, d) between which children of the i-th of x (b, d), best first, are drawn.
 
-    c1 = x_i - D (1 + alpha beta) and c2 = x_i + D (1 - alpha beta) with D = (x_j - x_i) / 2,
-    alpha = 1 where i is the better, else -1, and beta = (|j - i| - 1) / (b - 2), cut at the box.
+    c1 = x_i - D (1 + alpha beta) and c2 = x_i + D (1 - alpha beta) with D = (x_j - x_i) / 2, alpha
+    = 1 if i is the better, else -1, and beta = (|j - i| - 1) / (b - 2), cut at the box.
     """
     b = len(x)
     i = np.arange(b)[:, None]

@@ -1,4 +1,4 @@
-"""TikTak: local searches that start ever closer to the best one so far."""
+"""TikTak: local searches that start ever closer to the best point so far."""
 
 from __future__ import annotations
 
@@ -20,18 +20,41 @@ from miho.validate import at_least, one_of, positive, whole
 
 @dataclass(frozen=True)
 class TikTak(Optimizer):
-    """Arnoud, Guvenen and Kleineberg (NBER working paper 26340, 2019), with least squares.
+    """TikTak (Arnoud, Guvenen and Kleineberg, 2019) with least squares.
 
-    A round looks at `points` Sobol points a parameter and keeps the best, a `share` of them. From
-    the best it descends; from each other, it descends from a convex combination of it and the
-    lowest point of the round: the i-th of K kept has the `weight` sqrt(i / K) of that, within
-    `lowest_weight` and `highest_weight` (Sec. 2.1). So the search turns from exploring to refining.
+    A round evaluates Sobol points and keeps the best share. It descends from the best, and from
+    each of the others at a convex combination of that point and the lowest point of the round. The
+    i-th of K points gives the latter the weight sqrt(i / K), within limits (Sec. 2.1), so the
+    search changes from exploration to refinement.
 
     The Sobol points are scrambled anew in each round; the first of the run is the first common
-    initial configuration. Convex combinations are in search coordinates. The local solver is that
-    of `LeastSquares`, where the authors have Nelder-Mead or DFNLS, so that no last search with a
-    finer tolerance is needed. Looking takes a fifth of the evaluations and seconds left at most.
-    Ends after `rounds` rounds, or with the budget if that is None. Needs a least-squares problem.
+    initial configuration. Convex combinations are in search coordinates. The local solver is the
+    solver of `LeastSquares` instead of the authors' Nelder-Mead or DFNLS, so no final search with a
+    finer tolerance is needed. Screening uses at most a fifth of the remaining evaluations and
+    seconds. Requires a least-squares problem.
+
+    Parameters
+    ----------
+    points : int
+        Sobol points per parameter in each round.
+    share : float
+        Share of the points that is kept.
+    lowest_weight, highest_weight : float
+        Limits of the weight of the lowest point.
+    rounds : int or None
+        Number of rounds; None to continue until the budget ends.
+    tolerance, method
+        See `LeastSquares`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    A. Arnoud, F. Guvenen and T. Kleineberg, "Benchmarking global optimizers", NBER working paper
+    26340, 2019.
     """
 
     loads = ("scipy.stats",)
@@ -57,7 +80,8 @@ class TikTak(Optimizer):
         one_of("method", self.method, METHODS)
 
     def weight(self, i: int, K: int) -> float:
-        """The weight of the lowest point so far in the start of the i-th of K searches, from 1."""
+        """Weight of the lowest point so far in the start of the i-th of K searches, counted from
+        1."""
         if i == 1:
             return 0.0
         return min(max(self.lowest_weight, math.sqrt(i / K)), self.highest_weight)

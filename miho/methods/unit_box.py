@@ -1,4 +1,4 @@
-"""The box of a search scaled to the unit cube, for solvers that want variables of one size."""
+"""The box of a search scaled to the unit cube, for solvers that need variables of similar size."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class UnitBox:
     space: Space
 
     def theta(self, x: Array) -> Array:
-        """Parameters in units (..., d), inside the box whatever the rounding."""
+        """Parameters in their units (..., d), inside the box despite rounding."""
         low, high = self.space.bounds
         return self.space.clip(self.space.decode(low + (high - low) * x))
 
     def x(self, theta: Array) -> Array:
-        """Place in the unit cube, (..., d)."""
+        """Position in the unit cube, (..., d)."""
         low, high = self.space.bounds
         return np.clip((self.space.encode(theta) - low) / (high - low), 0.0, 1.0)
 

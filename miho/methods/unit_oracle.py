@@ -1,4 +1,4 @@
-"""The oracle as wrapped libraries want it: over the unit box, with losses in no unit."""
+"""The oracle in the form that wrapped libraries need: over the unit box, with scaled losses."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from miho.quantities import Array
 class UnitOracle:
     """Losses (n,) of points (n, d) in [0, 1]^d, which scale linearly to search coordinates.
 
-    `start` (n, d) are the first common initial configurations. The first batch must be they, and is
-    evaluated exactly there, whatever a library's own scaling has rounded away. Losses are scaled as
-    `LossScale` says, to a `level` that suits the library's tolerances.
+    `start` (n, d) are the first common initial configurations. The first batch must be these points
+    and is evaluated exactly there, whatever rounding a library's scaling causes. Losses are scaled
+    by `LossScale` to a `level` that suits the library's tolerances.
     """
 
     def __init__(self, oracle: Oracle, n: int, level: float = 1.0) -> None:
@@ -27,7 +27,7 @@ class UnitOracle:
         self.start = self._box.x(self._first)
 
     def __call__(self, x: Array, fidelity: float = 1.0) -> Array:
-        """Scaled losses, `UNUSABLE` where the oracle has +inf."""
+        """Scaled losses; `UNUSABLE` where the oracle returns +inf."""
         thetas = self._box.theta(x)
         if self._first is not None:
             thetas, self._first = self._first, None

@@ -16,16 +16,26 @@ from miho.validate import at_least, one_of
 
 @dataclass(frozen=True)
 class VariableProjection(Optimizer):
-    """Multi-start least squares over the nonlinear parameters only (Golub and Pereyra, 1973).
+    """Multistart least squares over the nonlinear parameters only (Golub and Pereyra, 1973).
 
-    Wherever the solver looks, the linear parameters have their best values within the box; its
-    derivatives are Kaufman's (1975), which give the exact gradient, with the linear parameters
-    that are at a bound held there. Starts, rounds and solvers are those of `LeastSquares`. Where
-    the problem is linear in all its parameters this is one linear solve, and nothing is screened;
-    where it is linear in none, as with a robust loss, this is `LeastSquares`.
+    At every evaluation the linear parameters have their best values in the box. Derivatives are
+    Kaufman's (1975), which give the exact gradient; linear parameters with an active bound are
+    fixed. Starting points, rounds and solvers are as in `LeastSquares`. If the problem is linear in
+    all parameters, the method is one linear solve without screening. If it is linear in none, for
+    example with a robust loss, the method is `LeastSquares`.
 
-    With p linear parameters of d, one look costs p + 2 evaluations and its derivatives d. Needs a
-    least-squares problem.
+    With p linear parameters of d, an evaluation costs p + 2 evaluations of the model, and its
+    derivatives cost d. Requires a least-squares problem.
+
+    Parameters
+    ----------
+    screen, starts, rounds, tolerance, method
+        See `LeastSquares`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     loads = ("scipy.optimize",)
@@ -80,9 +90,9 @@ class _Reduced:
         self._rows = 1
 
     def residuals(self, nonlinear: Array) -> Array:
-        """Residuals (m,) of the reduced problem, with the best linear parameters for these others.
+        """Residuals (m,) of the reduced problem, with the best linear parameters for `nonlinear`.
 
-        Infinite where the linear parameters cannot be solved for, so that the solver steps back.
+        Infinite if the linear parameters cannot be solved for, so that the solver steps back.
         """
         self._theta[self._nonlinear] = nonlinear
         oracle = self._oracle
