@@ -1,1 +1,1 @@
-"""The methods MIHO is compared with: those that wrap a library, and those of `miho.methods`."""
+"""Rivals of MIHO: wrapped libraries, and `miho.methods`."""

@@ -1,4 +1,4 @@
-"""`miho.methods.cluster_gauss_newton` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.cluster_gauss_newton` for configurations and stored runs."""
 
 from miho.methods.cluster_gauss_newton import ClusterGaussNewton
 

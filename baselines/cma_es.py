@@ -17,16 +17,17 @@ from miho.validate import one_of, positive, whole
 
 RESTARTS = ("ipop", "bipop")
 LEVEL = 1e3
-"""The first loss is scaled to this: the library's 1e-12 is then 1e-15 of it, above its rounding."""
+"""Scaled first loss: the library's tolerance of 1e-12 is then 1e-15 of it, above its rounding
+errors."""
 
 
 @dataclass
 class CMAESState:
-    """The strategy of the present restart, the batch asked (n, d) in the unit box, and the budgets.
+    """The strategy of the current restart, the batch asked (n, d) in the unit box, and the budgets.
 
-    `scale` is one for all restarts, and `large` counts those with a grown population. Evaluations:
-    `used` of at most `limit` in this restart, `last_large` in the last large one, `spent_large` in
-    all large ones, and `spent_small` in all others.
+    All restarts share `scale`; `large` counts restarts with a grown population. Evaluations are
+    `used`, of at most `limit`, in this restart, `last_large` in the last large restart,
+    `spent_large` in all large restarts, and `spent_small` in all others.
     """
 
     space: Space
@@ -47,16 +48,29 @@ class CMAESState:
 class CMAES(AskTell[CMAESState]):
     """The CMA evolution strategy (Hansen, arXiv:1604.00772), restarted until the budget ends.
 
-    `ipop` multiplies the population by `growth` at every restart (Auger and Hansen, CEC 2005);
-    `bipop` has beside that, in turn so that both spend alike, restarts with populations and step
-    sizes drawn small (Hansen, GECCO 2009, Sec. 2). Population and learning rates are the tutorial's
-    defaults for the dimension. It searches the search coordinates scaled to the unit box, with the
-    initial step size `sigma` in every one of them; draws outside are drawn again, up to
-    `resampling` times, and then clipped (the library's). The first mean is the first common initial
-    configuration, evaluated before all else; restarts begin anywhere in the box.
+    Population and learning rates are the tutorial's defaults for the dimension. The search is over
+    the search coordinates scaled to the unit box. The first mean is the first common initial
+    configuration, which is evaluated first; restarts begin anywhere in the box. A strategy ends by
+    the library's tests: losses of the last generations that agree to 1e-15 of the run's first loss,
+    or a distribution that is too small, too large or too thin to continue.
 
-    A strategy ends by the library's tests: losses of the last generations that agree to 1e-15 of
-    the run's first loss, or a distribution that is too small, too large or too thin to go on.
+    Parameters
+    ----------
+    restarts : {'bipop', 'ipop'}
+        `ipop` multiplies the population by `growth` at every restart (Auger and Hansen, CEC 2005).
+        `bipop` adds restarts with random small populations and step sizes, alternating so that both
+        kinds spend equally (Hansen, GECCO 2009, Sec. 2).
+    sigma : float
+        Initial step size in every coordinate.
+    growth : int
+        Growth of the population.
+    resampling : int
+        Most new draws for a point outside the box, which is then clipped (by the library).
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     restarts: str = "bipop"
@@ -82,12 +96,12 @@ class CMAES(AskTell[CMAESState]):
         return UnitBox(state.space).theta(state.batch)
 
     def tell(self, state: CMAESState, thetas: Array, losses: Array) -> None:
-        """Move the distribution, restart where it is done, and draw the next generation."""
+        """Move the distribution, restart if it has ended, and draw the next generation."""
         values = state.scale(losses).tolist()
         if state.strategy is None:
             strategy = self._strategy(state.batch[0], self.sigma, None)
         else:
-            # A copy holds what a pickle would: no generator, one half of the covariance matrix.
+            # Like a pickle, a copy has no generator and only half of the covariance matrix.
             strategy = copy.copy(state.strategy)
             strategy.tell(list(zip(state.batch, values, strict=True)))
             state.used += len(values)
@@ -98,7 +112,7 @@ class CMAES(AskTell[CMAESState]):
         state.strategy = strategy
 
     def done(self, state: CMAESState) -> bool:
-        """False: only the budget ends it."""
+        """False: only the budget ends the run."""
         return False
 
     def _strategy(self, mean: Array, sigma: float, population: int | None) -> cmaes.CMA:
@@ -112,7 +126,7 @@ class CMAES(AskTell[CMAESState]):
         )
 
     def _restart(self, state: CMAESState) -> cmaes.CMA:
-        """A new strategy, of the kind, large or small, that has spent less so far."""
+        """A new strategy of the kind, large or small, that has used less so far."""
         d, rng = len(state.space), state.rng
         default = 4 + math.floor(3 * math.log(d))
         if state.is_large:

@@ -29,15 +29,32 @@ STRATEGIES = tuple(
 
 @dataclass(frozen=True)
 class DEHB(Optimizer):
-    """Awad, Mallik and Hutter (IJCAI 2021), by the authors' library, one worker.
+    """DEHB (Awad, Mallik and Hutter, IJCAI 2021), by the authors' library, with one worker.
 
-    Every rung of Hyperband, with rows of data as resource as in `baselines.hyperband`, keeps a
-    population that evolves by differential evolution and takes its parents from the rung below;
-    only the last rung sees all rows, and only its losses can become best. R is the ratio of the
-    largest resource to the smallest and eta that between rungs. Populations start at the common
-    initial configurations, the first of which is evaluated before all else, on all rows. Searches
-    the search coordinates scaled to the unit box until the budget ends. The library counts rungs in
-    floating point: (243, 3) and (1000, 10) have one fewer than Hyperband.
+    Every rung of Hyperband, with rows of data as the resource as in `baselines.hyperband`, has a
+    population that evolves by differential evolution with parents from the rung below. Only the
+    last rung uses all rows, and only its losses can become best. Populations start at the common
+    initial configurations, the first of which is evaluated first, on all rows. The search is over
+    the search coordinates scaled to the unit box, until the budget ends. The library counts rungs
+    in floating point: (243, 3) and (1000, 10) have one fewer than Hyperband.
+
+    Parameters
+    ----------
+    R : int
+        Ratio of the largest resource to the smallest.
+    eta : int
+        Ratio of the resources of two consecutive rungs.
+    mutation_factor : float
+        Mutation factor.
+    crossover_prob : float
+        Crossover probability.
+    strategy : str
+        Strategy, one of `STRATEGIES`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     R: int = 81
@@ -68,11 +85,11 @@ class DEHB(Optimizer):
             job = search.ask()
             loss = float(losses(job["config"][None], float(job["fidelity"]) / self.R)[0])
             search.tell(job, {"fitness": loss, "cost": 0.0})
-            # The library never forgets a finished bracket, and looks through all of them.
+            # The library keeps finished brackets and searches all of them.
             search.active_brackets = [b for b in search.active_brackets if not b.is_bracket_done()]
 
     def _search(self, d: int, seed: int) -> dehb.DEHB:
-        """The library's optimizer, without the log file and the console that it opens."""
+        """The library's optimizer, without the log file and the console output that it opens."""
         with tempfile.TemporaryDirectory() as folder:
             loguru.logger.disable("dehb")
             search = dehb.DEHB(

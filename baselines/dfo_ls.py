@@ -24,22 +24,44 @@ except ModuleNotFoundError as error:
 
 
 LEVEL = 1e4
-"""Norm of a descent's first residuals, by which the library's absolute tolerance is relative."""
+"""Norm of a descent's first residuals, which makes the library's absolute tolerance relative."""
 LIBRARY_FAILS = "H must be symmetric"
-"""What the library asserts in vain on linear residuals; it ends a descent and not the run."""
+"""Message of the library's failing assertion on linear residuals; it ends a descent, not the
+run."""
 
 
 @dataclass(frozen=True)
 class DFOLS(Optimizer):
-    """Cartis, Fiala, Marteau and Roberts (ACM Trans. Math. Softw. 45, 2019), by their library.
+    """DFO-LS (Cartis, Fiala, Marteau and Roberts, 2019), by the authors' library.
 
-    A trust region with a linear model of the residuals that interpolates d + 1 points, in the unit
-    cube. Rounds of screening and starts are those of `LeastSquares`; a descent ends when the trust
-    region has shrunk from `radius` to `smallest` of the range, when it is slow, or after
-    `evaluations` for each parameter and one more, `most` at the most. A configuration without
-    usable residuals counts as twice the worst ones of the descent. The library's own restarts,
-    which are for noise, are off. Needs a least-squares problem, and no derivatives. Its algebra is
-    in Python: a millisecond an evaluation.
+    A trust-region method with a linear model of the residuals that interpolates d + 1 points, in
+    the unit cube. Rounds of screening and starting points are as in `LeastSquares`. A descent also
+    ends when it is slow. A configuration without usable residuals counts as twice the worst
+    residuals of the descent. The library's restarts, which are for noise, are off. Requires a
+    least-squares problem, but no derivatives. Its algebra is in Python: a millisecond per
+    evaluation.
+
+    Parameters
+    ----------
+    screen, starts, rounds
+        See `LeastSquares`.
+    radius : float
+        Initial radius of the trust region, relative to the range.
+    smallest : float
+        A descent ends at this radius.
+    evaluations : int
+        Most evaluations of a descent, times d + 1.
+    most : int
+        Most evaluations of a descent.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+
+    References
+    ----------
+    C. Cartis, J. Fiala, B. Marteau and L. Roberts, ACM Trans. Math. Softw. 45, 2019.
     """
 
     screen: int = 10
@@ -85,7 +107,8 @@ class DFOLS(Optimizer):
 
 
 class _ScaledResiduals:
-    """Scaled residuals (m,) over the unit cube, finite everywhere if they are at the first look."""
+    """Scaled residuals (m,) over the unit cube; finite everywhere if they are usable at the
+    start."""
 
     def __init__(self, oracle: Oracle, box: UnitBox) -> None:
         self._oracle = oracle
@@ -101,7 +124,7 @@ class _ScaledResiduals:
             usable = False
         if self._scale is None:
             if not usable:
-                raise ValueError("a descent cannot start where residuals are not usable")
+                raise ValueError("a descent cannot start: its residuals are not usable")
             self._scale = LEVEL / (float(np.linalg.norm(residuals)) or 1.0)
         if not usable:
             return 2 * self._worst
@@ -113,7 +136,7 @@ class _ScaledResiduals:
 
 @contextlib.contextmanager
 def _quiet(rng: np.random.Generator) -> Iterator[None]:
-    """No warnings; and what the library draws from NumPy's global generator comes from `rng`."""
+    """Suppress warnings, and seed NumPy's global generator, which the library uses, from `rng`."""
     state = np.random.get_state()  # noqa: NPY002
     np.random.seed(int(rng.integers(2**32)))  # noqa: NPY002
     try:

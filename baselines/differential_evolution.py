@@ -1,4 +1,4 @@
-"""`miho.methods.differential_evolution` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.differential_evolution` for configurations and stored runs."""
 
 from miho.methods.differential_evolution import DifferentialEvolution
 

@@ -1,4 +1,4 @@
-"""`miho.methods.dual_annealing` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.dual_annealing` for configurations and stored runs."""
 
 from miho.methods.dual_annealing import DualAnnealing
 

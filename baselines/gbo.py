@@ -1,4 +1,4 @@
-"""`miho.methods.gbo` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.gbo` for configurations and stored runs."""
 
 from miho.methods.gbo import GBO
 

@@ -1,4 +1,4 @@
-"""`miho.methods.hickernell_yuan` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.hickernell_yuan` for configurations and stored runs."""
 
 from miho.methods.hickernell_yuan import HickernellYuan
 

@@ -1,4 +1,4 @@
-"""`miho.methods.hyperband` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.hyperband` for configurations and stored runs."""
 
 from miho.methods.hyperband import Hyperband, SuccessiveHalving
 

@@ -1,4 +1,4 @@
-"""`miho.methods.least_squares` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.least_squares` for configurations and stored runs."""
 
 from miho.methods.least_squares import LeastSquares
 

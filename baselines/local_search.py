@@ -1,4 +1,4 @@
-"""`miho.methods.local_search` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.local_search` for configurations and stored runs."""
 
 from miho.methods.local_search import LBFGSB, NelderMead
 

@@ -1,4 +1,4 @@
-"""NGOpt, Nevergrad's choice of a method by dimension and budget."""
+"""NGOpt of Nevergrad, which selects a method by dimension and budget."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ except ModuleNotFoundError as error:
     ) from error
 
 LEVEL = 1e3
-"""The first loss is scaled to this: the CMA-ES among its methods restarts at 1e-14 of it."""
+"""Scaled first loss: the CMA-ES among its methods restarts at 1e-14 of it."""
 
 
 def _number(value: object) -> float:
@@ -38,15 +38,22 @@ vars(metamodel)["float"] = _number
 class NGOpt(Optimizer):
     """`nevergrad.optimizers.NGOpt` (Meunier et al., IEEE Trans. Evol. Comput. 26, 2022).
 
-    It picks and combines methods by the dimension and by the evaluations it is told to plan for:
-    `plan`, at most those that the run has left, or all of these where `plan` is None; and then
-    again until the run ends. A plan that the run's limit of seconds cuts short is a wrong one:
-    another method would have been picked. It begins at the first common initial configuration
-    (later plans at a fresh draw) and searches the search coordinates scaled to the unit box. Each
-    of its own steps takes 5 to 80 ms, more for larger plans: made for losses that take seconds,
-    not microseconds.
+    It selects and combines methods by the dimension and the number of planned evaluations, and
+    repeats until the run ends. If the time limit of the run cuts a plan short, the plan was wrong:
+    another method would have been selected. The first plan starts at the first common initial
+    configuration, later ones at new draws. The search is over the search coordinates scaled to the
+    unit box. Each step of the library takes 5 to 80 ms, more for larger plans: it is designed for
+    losses that take seconds, not microseconds.
 
-    Raises ValueError in a run without a limit of evaluations where `plan` is None.
+    Parameters
+    ----------
+    plan : int, optional
+        Evaluations to plan for, at most the remaining ones; by default all remaining evaluations.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range, or `plan` is None in a run without a limit of evaluations.
     """
 
     plan: int | None = None
@@ -74,11 +81,11 @@ class NGOpt(Optimizer):
                 start = losses.fresh(1, rng)[0]
 
     def _planned(self, remaining: float) -> int:
-        """How many evaluations to plan for in a run with so many remaining."""
+        """The number of evaluations to plan for."""
         evaluations = remaining if self.plan is None else min(self.plan, remaining)
         if math.isinf(evaluations):
             raise ValueError(
-                "plan is None in a run without a limit of evaluations; "
+                "plan is None, but the run has no limit of evaluations; "
                 "expected a whole number; set plan, or budget.evaluations"
             )
         return max(1, math.ceil(evaluations))
@@ -86,7 +93,7 @@ class NGOpt(Optimizer):
 
 @contextlib.contextmanager
 def _global_generator(seed: int) -> Iterator[None]:
-    """Seed NumPy's global generator, which some of the methods draw from, and put it back after."""
+    """Seed NumPy's global generator, which some of the methods use, and restore it afterwards."""
     state = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002
     try:
@@ -97,7 +104,7 @@ def _global_generator(seed: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Drop the warnings of the libraries, which also come from their threads, but no others."""
+    """Suppress warnings of the libraries, also from their threads, but no others."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", module=r"(nevergrad|cma|scipy|sklearn|bayes_opt)(\.|$)")
         yield

@@ -1,4 +1,4 @@
-"""Optuna's Hyperband pruner, as published: asynchronous and stop-only."""
+"""Optuna's Hyperband pruner: asynchronous, and it only stops trials."""
 
 from __future__ import annotations
 
@@ -18,19 +18,32 @@ optuna.logging.set_verbosity(optuna.logging.WARNING)
 
 
 DRAWN_AT_ONCE = 1000
-"""Initial configurations of one draw."""
+"""Initial configurations per draw."""
 
 
 @dataclass(frozen=True)
 class OptunaHyperband(Optimizer):
-    """One trial is one initial configuration and up to R evaluations, all but one of mutants.
+    """Optuna's Hyperband, with mutations as the resource.
 
-    A trial reports its best loss at the rungs 1, eta, eta^2, ... R, counted in its evaluations,
-    and stops where `optuna.pruners.HyperbandPruner` says so. Between two rungs sigma anneals as on
-    a rung of MIHO, and a mutant replaces its parent when it is better: the two methods differ in
-    who gets how many evaluations. Configurations are the common initial ones, then draws from the
-    same distribution, so Optuna's sampler has nothing to suggest. Runs until the budget ends, in
-    memory; every decision of the pruner looks through all trials, so that trials become slower.
+    A trial is one initial configuration and up to R evaluations, all but one of mutants. It reports
+    its best loss at the rungs 1, eta, eta^2, ... R, counted in its evaluations, and stops when
+    `optuna.pruners.HyperbandPruner` says so. Between two rungs sigma anneals as on a rung of MIHO,
+    and a better mutant replaces its parent: the two methods differ in how they distribute
+    evaluations. Configurations are the common initial ones, then draws from the same distribution,
+    so Optuna's sampler suggests nothing. The run continues until the budget ends, in memory. Every
+    decision of the pruner searches all trials, so trials become slower.
+
+    Parameters
+    ----------
+    R : int
+        Most evaluations of a trial.
+    eta : int
+        Factor between rungs.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     R: int = 10_000
@@ -102,7 +115,7 @@ def _climbed_at_once(
     P, losses = P.copy(), np.array([L])
 
     def block(most: float, best: float, target: float) -> Block:
-        """As many of the next steps as `most` evaluations pay for."""
+        """As many of the next steps as `most` evaluations allow."""
         nonlocal k
         count = min(len(sigma) - k, int(most))
         mutant = mutate(P, sigma[k], space, rng, "box")

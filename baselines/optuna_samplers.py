@@ -21,10 +21,23 @@ optuna.logging.set_verbosity(optuna.logging.WARNING)
 class OptunaTPE(Optimizer):
     """`optuna.samplers.TPESampler` (Bergstra et al., NeurIPS 2011; Watanabe, arXiv:2304.11127).
 
-    The first `n_startup_trials` are the common initial configurations; every later one is the best
-    by expected improvement of `n_ei_candidates` drawn. Runs until the budget ends, in memory. A
-    suggestion looks through all trials before it, so that n trials take time in proportion to n^2
-    (milliseconds each after some hundreds): made for losses that take seconds, not microseconds.
+    The run continues until the budget ends, in memory. A suggestion searches all earlier trials, so
+    the time of n trials is proportional to n^2 (milliseconds each after some hundreds): the method
+    is designed for losses that take seconds, not microseconds.
+
+    Parameters
+    ----------
+    n_startup_trials : int
+        Initial trials, which are the common initial configurations.
+    n_ei_candidates : int
+        Candidates of a later trial; the best by expected improvement is evaluated.
+    multivariate, group, constant_liar : bool
+        See `optuna.samplers.TPESampler`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     n_startup_trials: int = 10
@@ -59,14 +72,26 @@ class OptunaTPE(Optimizer):
 
 @dataclass(frozen=True)
 class OptunaCMAES(Optimizer):
-    """`optuna.samplers.CmaEsSampler`, restarted with a population `inc_popsize` times as large.
+    """`optuna.samplers.CmaEsSampler`, restarted with larger populations.
 
-    The first trial is the first common initial configuration; the first distribution is centred in
-    the box, of a sixth of its width (the sampler's defaults), those of restarts are centred
-    anywhere in it. Optuna 5 no longer restarts by itself: where the losses of the last
-    10 + ceil(30 d / population) generations agree to `tolerance` of their size (the duration is
-    Hansen's, arXiv:1604.00772, B.3), a new study begins, as its `restart_strategy="ipop"` did
-    (Auger and Hansen, CEC 2005). Until the budget ends, in memory.
+    The first trial is the first common initial configuration. The first distribution is centred in
+    the box with a sixth of its width (the sampler's defaults); restarts are centred anywhere in it.
+    Optuna 5 no longer restarts itself: when the losses of the last 10 + ceil(30 d / population)
+    generations agree to `tolerance` (the duration is Hansen's, arXiv:1604.00772, B.3), a new study
+    begins, as with its former `restart_strategy="ipop"` (Auger and Hansen, CEC 2005). The run
+    continues until the budget ends, in memory.
+
+    Parameters
+    ----------
+    inc_popsize : int
+        Growth of the population at a restart.
+    tolerance : float
+        A study ends when recent losses differ by less than this share of their size.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     loads = ("cmaes",)
@@ -78,7 +103,7 @@ class OptunaCMAES(Optimizer):
         positive("tolerance", self.tolerance)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Study after study until the budget ends."""
+        """Run studies until the budget ends."""
         space = oracle.space
         d = len(space)
         popsize = 4 + math.floor(3 * math.log(d))
@@ -98,7 +123,7 @@ def _cma(
     rng: np.random.Generator, popsize: int, x0: dict[str, float] | None
 ) -> optuna.samplers.CmaEsSampler:
     with warnings.catch_warnings():
-        # x0 is deprecated in favour of a sampler that is not part of Optuna.
+        # x0 is deprecated in favour of a sampler outside of Optuna.
         warnings.simplefilter("ignore", FutureWarning)
         return optuna.samplers.CmaEsSampler(
             x0=x0,

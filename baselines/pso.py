@@ -1,4 +1,4 @@
-"""`miho.methods.pso` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.pso` for configurations and stored runs."""
 
 from miho.methods.pso import PSO
 

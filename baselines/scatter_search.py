@@ -1,4 +1,4 @@
-"""`miho.methods.scatter_search` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.scatter_search` for configurations and stored runs."""
 
 from miho.methods.scatter_search import ScatterSearch
 

@@ -1,4 +1,4 @@
-"""`miho.methods.tiktak` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.tiktak` for configurations and stored runs."""
 
 from miho.methods.tiktak import TikTak
 

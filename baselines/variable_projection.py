@@ -1,4 +1,4 @@
-"""`miho.methods.variable_projection` under the name that configurations and stored runs know."""
+"""Alias of `miho.methods.variable_projection` for configurations and stored runs."""
 
 from miho.methods.variable_projection import VariableProjection
 

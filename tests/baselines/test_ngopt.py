@@ -53,7 +53,7 @@ def test_seconds_alone_say_nothing_to_plan_for() -> None:
     assert record.evaluations > 5
     record = minimize(NGOpt(), DecayFit(), budget, seed=1)
     assert record.error is not None
-    assert "plan is None in a run without a limit of evaluations" in record.error
+    assert "plan is None, but the run has no limit of evaluations" in record.error
     with pytest.raises(ValueError, match="plan is 0"):
         NGOpt(plan=0)
 
