@@ -1,4 +1,4 @@
-"""The problem on which methods are checked."""
+"""The problem for checks of methods."""
 
 from __future__ import annotations
 

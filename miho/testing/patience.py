@@ -24,7 +24,7 @@ def patience() -> Iterator[None]:
 
     It may compute for PATIENCE seconds of its CPU time, so that a busy machine makes no difference,
     or wait for as many seconds of wall time without computing. The context has no effect outside of
-    the main thread, in which signals are handled, and on systems without interval timers.
+    the main thread, because only that handles signals, and on systems without interval timers.
     """
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or not hasattr(signal, "setitimer"):
