@@ -35,11 +35,25 @@ def log_grid(curves: pd.DataFrame, axis: Axis, points: int = 400) -> Array:
 
 
 def on_grid(curves: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.DataFrame:
-    """All runs on a common grid (default: `log_grid`): a row per run and grid position.
+    """All runs on a common grid: a row per run and grid position.
 
-    The columns are id, problem, optimizer, seed, settings, the axis and error (NaN before the first
-    value). All runs have a value at each position, so a mean over runs is well defined: pass these
-    rows, not `curves` itself, to a function that averages, for example seaborn's `lineplot`.
+    All runs have a value at each position, so a mean over runs is well defined: pass these rows,
+    not `curves` itself, to a function that averages, for example seaborn's `lineplot`.
+
+    Parameters
+    ----------
+    curves : DataFrame
+        As in `miho.load_runs`.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        The axis.
+    grid : ndarray, shape (g,), optional
+        Positions on the axis; by default `log_grid`.
+
+    Returns
+    -------
+    DataFrame
+        Columns id, problem, optimizer, seed, settings, the axis and error (NaN before the first
+        value).
     """
     grid = log_grid(curves, axis) if grid is None else np.asarray(grid, dtype=float)
     at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
@@ -56,6 +70,13 @@ def step(at: Array, errors: Array, grid: Array) -> Array:
     """The last of `errors` (k,) at or before each grid position (g,); NaN before the first.
 
     The last of several rows at the same position counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from miho.analysis.curves import step
+    >>> step(np.array([1.0, 10.0]), np.array([5.0, 2.0]), np.array([0.5, 1.0, 20.0])).tolist()
+    [nan, 5.0, 2.0]
     """
     order = np.argsort(at, kind="stable")
     index = np.searchsorted(at[order], grid, side="right")
@@ -65,11 +86,24 @@ def step(at: Array, errors: Array, grid: Array) -> Array:
 def summary(
     gridded: pd.DataFrame, axis: Axis, quantiles: tuple[float, float] = (0.1, 0.9)
 ) -> pd.DataFrame:
-    """Runs, mean, median and quantiles per method and grid position of `on_grid`.
+    """Runs, mean, median and quantiles per method and grid position.
 
-    A method whose runs differ in a setting counts as several methods. All statistics are NaN until
-    every run of the method has a value: otherwise they would describe a changing set of runs. The
-    mean is the paper's curve (Fig. 6).
+    All statistics are NaN until every run of the method has a value: otherwise they would describe
+    a changing set of runs. The mean is the paper's curve (Fig. 6).
+
+    Parameters
+    ----------
+    gridded : DataFrame
+        As from `on_grid`. A method whose runs differ in a setting counts as several methods.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        The axis of the grid.
+    quantiles : tuple of float
+        Levels of the low and the high quantile.
+
+    Returns
+    -------
+    DataFrame
+        Columns problem, optimizer, settings, the axis, runs, mean, median, low and high.
     """
     pieces = []
     keys = ["problem", "optimizer", *setting_columns(gridded)]
@@ -96,9 +130,20 @@ def summary(
 def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.DataFrame:
     """First position of each run with an error of at most `target`; inf if there is none.
 
-    `target` is a number or an array (rows,), in the unit of the curves. The result has a row for
-    each run in `curves`, so runs without rows are missing: see `tidy.with_silent_runs`. The columns
-    are id, problem, optimizer, seed, settings and the axis.
+    Parameters
+    ----------
+    curves : DataFrame
+        As in `miho.load_runs`. Runs without rows are missing in the result: see
+        `tidy.with_silent_runs`.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        The axis.
+    target : float or ndarray, shape (rows,)
+        Error in the unit of the curves, for all rows or for each row.
+
+    Returns
+    -------
+    DataFrame
+        A row per run: id, problem, optimizer, seed, settings and the axis.
     """
     at = pd.Series(positions(curves, axis), index=curves.index)
     reached = at.where(curves["error"] <= target, np.inf)

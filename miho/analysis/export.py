@@ -140,16 +140,36 @@ def _units(runs: pd.DataFrame) -> dict[str, dict[str, str]]:
 
 
 def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> list[Path]:
-    """Write one folder per method below `folder`; return the folders, sorted by name.
+    """Write runs in the format of IOHprofiler, one folder per method.
 
-    The layout is that of IOHexperimenter (de Nobel et al. 2024): for each problem, a JSON file with
-    a row of facts per run and a .dat file with the improvements, one run after the other. Problems
-    are numbered from 1 in the order of their names. The instance is the seed. `raw_y` is the error
-    (root of the loss, in the problem's unit), not the loss. Evaluations on a part of the data count
-    as fractions; the format requires integers, so they are rounded up. A run begins at evaluation
-    1, with inf until the first finite value, and ends with its last evaluation.
+    For each problem there are a JSON file with a row of facts per run and a .dat file with the
+    improvements, one run after the other. Problems are numbered from 1 in the order of their names.
+    The instance is the seed. `raw_y` is the error (root of the loss, in the problem's unit), not
+    the loss. Evaluations on a part of the data count as fractions; the format requires integers, so
+    they are rounded up. A run begins at evaluation 1, with inf until the first finite value, and
+    ends with its last evaluation.
 
-    Raises FileExistsError if `folder` is not empty, because readers load every JSON file in it.
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        See `miho.load_runs`.
+    folder : path-like
+        A new or empty folder.
+
+    Returns
+    -------
+    list of Path
+        The folders of the methods, sorted by name.
+
+    Raises
+    ------
+    FileExistsError
+        If `folder` is not empty, because readers load every JSON file in it.
+
+    References
+    ----------
+    J. de Nobel et al., "IOHexperimenter: benchmarking platform for iterative optimization
+    heuristics", 2024.
     """
     runs, curves = comparison(runs, curves)
     folder = Path(folder)

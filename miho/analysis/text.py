@@ -78,6 +78,12 @@ def to_error(value: float, error: float) -> str:
     """A value with as many digits as its error allows (two of the error); "-" for NaN.
 
     Six significant digits if the error is 0 or not finite.
+
+    Examples
+    --------
+    >>> from miho.analysis.text import to_error, with_error
+    >>> to_error(3.14159, 0.012), with_error(3.14159, 0.012)
+    ('3.142', '3.142 ± 0.012')
     """
     if math.isnan(value):
         return "-"
@@ -140,6 +146,15 @@ def to_markdown(frame: pd.DataFrame) -> str:
     """A pipe table without the index, numbers aligned to the right; ends with a newline.
 
     Numbers have three significant digits; inf reads "never", NaN reads "-".
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from miho.analysis import to_markdown
+    >>> print(to_markdown(pd.DataFrame({"method": ["miho"], "seconds": [0.12345]})), end="")
+    | method | seconds |
+    | --- | --: |
+    | miho | 0.123 |
     """
     names = [_escaped(name) for name in frame.columns]
     rule = ["--:" if pd.api.types.is_numeric_dtype(kind) else "---" for kind in frame.dtypes]

@@ -58,6 +58,14 @@ class Dataset:
     ------
     ValueError
         If a column is not finite, has no unit or has another length.
+
+    Examples
+    --------
+    >>> from miho.data import Dataset
+    >>> data = Dataset("line", {"x": [0, 1, 2], "y": [1, 3, 5]}, {"x": "s", "y": "m"}, "y")
+    >>> data = data.hold_out({"x": (2, 2)})
+    >>> len(data), len(data.held_out)
+    (2, 1)
     """
 
     name: str
@@ -135,9 +143,22 @@ class Dataset:
         return self.select(np.arange(len(self)) % every == 0)
 
     def hold_out(self, ranges: Mapping[str, Sequence[float]]) -> Dataset:
-        """Hold out the rows that lie in all of these ranges.
+        """Hold out the rows that are in all of these ranges.
 
-        `ranges` maps columns to (from, to), both included, in the column's unit.
+        Parameters
+        ----------
+        ranges : mapping of str to sequence of float
+            For each column, (from, to), both included, in the column's unit.
+
+        Returns
+        -------
+        Dataset
+            The other rows, with the selected ones in `held_out`.
+
+        Raises
+        ------
+        ValueError
+            If rows are held out already, or the ranges contain no row or every row.
         """
         if self.held_out is not None or not ranges:
             raise ValueError(

@@ -63,7 +63,27 @@ def published_fit(name: str) -> PublishedFit:
     then the rows. An output log(y) is the natural logarithm of the values in the file. Columns and
     models have no units (-).
 
-    Raises ValueError for an unknown name.
+    Parameters
+    ----------
+    name : str
+        One of `published_names`.
+
+    Returns
+    -------
+    PublishedFit
+        Data, starting points and optimum.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+
+    Examples
+    --------
+    >>> from miho.data import published_fit
+    >>> fit = published_fit("misra1a")
+    >>> fit.optimum, len(fit.dataset)
+    ((238.94212918, 0.00055015643181), 14)
     """
     if name not in published_names():
         raise ValueError(f"name is {name!r}; choose from {', '.join(published_names())}")

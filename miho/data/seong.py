@@ -21,9 +21,26 @@ class DataUnavailableError(OSError):
 
 
 def load_seong_sample(tire: str) -> Dataset:
-    """Slip angle alpha [rad] and lateral force Fy [N] of tire 'a' or 'b', all 300 rows.
+    """Slip angle alpha [rad] and lateral force Fy [N] of a tire of the authors' sample data.
 
     The file has no header row and uses ISO-W signs: positive slip angle, negative force.
+
+    Parameters
+    ----------
+    tire : {'a', 'b'}
+        The tire.
+
+    Returns
+    -------
+    Dataset
+        All 300 rows.
+
+    Raises
+    ------
+    ValueError
+        For another tire.
+    DataUnavailableError
+        If the file cannot be downloaded or has the wrong checksum.
 
     References
     ----------

@@ -38,8 +38,28 @@ def brake_pressure_test(
     """A staircase of commands from 0 to 1 and back, with samples of the settled pressure on each
     step.
 
-    The columns are u [-], the output p [Pa] of the front circuit and p_rear [Pa]. `noise` is the
-    standard deviation of both sensors [Pa]. The top steps exceed u1, so that the pressure is P_max.
+    The top steps exceed u1, so that the pressure is P_max.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the noise.
+    steps : int
+        Steps up, and steps down.
+    samples : int
+        Samples per step.
+    noise : float
+        Standard deviation of both sensors [Pa].
+
+    Returns
+    -------
+    Dataset
+        Columns u [-], the output p [Pa] of the front circuit and p_rear [Pa].
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
     rng = _rng("pressure", seed, steps=steps, samples=samples, noise=noise)
     up = np.linspace(0.0, 1.0, steps + 1)
@@ -52,10 +72,31 @@ def brake_pressure_test(
 def brake_torque_test(
     axle: str = "front", seed: int = 0, steps: int = 40, samples: int = 20, noise: float = 10.0
 ) -> Dataset:
-    """Torque of an axle, 'front' or 'rear', over the pressure in its circuit, at three speeds.
+    """Torque of an axle over the pressure in its circuit, at three speeds, on which it does not
+    depend.
 
-    The columns are p [Pa], vx [m/s] and the output T [Nm]; `noise` is the standard deviation of T
-    [Nm]. The torque does not depend on the speed. The pressure covers the range of the circuit.
+    Parameters
+    ----------
+    axle : {'front', 'rear'}
+        The axle.
+    seed : int
+        Seed of the noise.
+    steps : int
+        Steps of the pressure, from 0 to the largest of the circuit.
+    samples : int
+        Samples per step.
+    noise : float
+        Standard deviation of the torque [Nm].
+
+    Returns
+    -------
+    Dataset
+        Columns p [Pa], vx [m/s] and the output T [Nm].
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
     if axle not in AXLES:
         raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
@@ -78,9 +119,27 @@ def brake_step_test(
 ) -> Dataset:
     """Random steps of the command, up, down and to zero, with the pressure over time.
 
-    The columns are t [s], u [-], the steady pressure target [Pa] that u commands and the output p
-    [Pa] of the front circuit. Each step lasts between 0.3 and 0.8 s. `rate` is in samples per
-    second; `noise` is the standard deviation of the pressure [Pa].
+    Parameters
+    ----------
+    seed : int
+        Seed of the steps and the noise.
+    steps : int
+        Number of steps; each lasts between 0.3 and 0.8 s.
+    rate : float
+        Samples per second.
+    noise : float
+        Standard deviation of the pressure [Pa].
+
+    Returns
+    -------
+    Dataset
+        Columns t [s], u [-], the steady pressure target [Pa] that u commands and the output p [Pa]
+        of the front circuit.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
     rng = _rng("step", seed, steps=steps, rate=rate, noise=noise)
     brake = EMBEDDED_BRAKE
@@ -102,10 +161,28 @@ def brake_deceleration_test(
 ) -> Dataset:
     """Braking from five speeds at six pressures, as a driving log would record it.
 
-    The columns are p [Pa] of the front circuit, vx [m/s] and the output deceleration [m/s^2],
-    positive. Each phase lasts `duration` [s] and has `samples` rows; `noise` is the standard
-    deviation of the deceleration [m/s^2]. All pressures exceed the pressures at which the pads make
-    contact.
+    All pressures exceed the contact pressures of the pads.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the noise.
+    samples : int
+        Samples per phase.
+    duration : float
+        Duration of a phase [s].
+    noise : float
+        Standard deviation of the deceleration [m/s^2].
+
+    Returns
+    -------
+    Dataset
+        Columns p [Pa] of the front circuit, vx [m/s] and the output deceleration [m/s^2], positive.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
     rng = _rng("deceleration", seed, samples=samples, duration=duration, noise=noise)
     since = np.linspace(0.0, duration, samples)

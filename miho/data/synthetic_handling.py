@@ -43,8 +43,21 @@ def simulated_weave(car: SingleTrack, noise: float = 1.0, seed: int = 0) -> Driv
     """40 s at 50 Hz on a flat road: vx from 30 to 45 m/s and back, steering up to +-0.12 rad.
 
     The steering is a sine of 0.4 Hz whose amplitude grows from zero until the front axle slides.
-    The axles are `AXLES`; the lateral motion is integrated by Runge-Kutta of fourth order. The
-    channels vx, vy, yaw_rate, steering and ay have white noise of `noise` times `NOISE`.
+    The axles are `AXLES`; the lateral motion is integrated by Runge-Kutta of fourth order.
+
+    Parameters
+    ----------
+    car : SingleTrack
+        The car.
+    noise : float
+        Standard deviation of the white noise, in multiples of `NOISE`.
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    DrivingLog
+        Channels vx, vy, yaw_rate, steering and ay.
     """
     at_least("noise", noise, 0)
     whole("seed", seed, 0)
@@ -64,7 +77,23 @@ def simulated_axle_drive(
 ) -> Dataset:
     """`axle_samples` of `simulated_weave`, named `front_axle_drive` or `rear_axle_drive`.
 
-    `vehicle` gives the fields of `SingleTrack`. The true parameters are in `AXLES`.
+    The true parameters are in `AXLES`.
+
+    Parameters
+    ----------
+    vehicle : mapping of str to float
+        Fields of `SingleTrack`.
+    axle : {'front', 'rear'}
+        The axle.
+    noise, seed
+        See `simulated_weave`.
+    cutoff : float
+        See `axle_samples`.
+
+    Returns
+    -------
+    Dataset
+        See `axle_samples`.
     """
     car = from_settings(SingleTrack, vehicle)
     data = axle_samples(simulated_weave(car, noise, seed), car, axle, cutoff)

@@ -22,12 +22,31 @@ def tire_outlier_test(
     freedom: float = 2.5,
     dropped: float = 0.05,
 ) -> Dataset:
-    """n samples of the lateral force at slip angles uniform within 0.22 rad.
+    """Samples of the lateral force at slip angles uniform within 0.22 rad, with outliers.
 
-    The columns are alpha [rad] and the output Fy [N], ISO-W. The noise has Student's t distribution
-    with `freedom` degrees of freedom, times `scale` [N]: nearly normal in the middle, with rare
-    rows many times `scale` away. A share `dropped` of the rows, chosen at random, reads exactly 0
-    N. Both distort least squares.
+    Heavy-tailed noise and dropped rows both distort least squares.
+
+    Parameters
+    ----------
+    n : int
+        Number of samples.
+    seed : int
+        Seed of the samples and the noise.
+    scale, freedom : float
+        The noise has Student's t distribution with `freedom` degrees of freedom, times `scale` [N]:
+        nearly normal in the middle, with rare rows many times `scale` away.
+    dropped : float
+        Share of random rows that read exactly 0 N.
+
+    Returns
+    -------
+    Dataset
+        Columns alpha [rad] and the output Fy [N], ISO-W.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
     whole("seed", seed, 0)
     whole("n", n, 1)

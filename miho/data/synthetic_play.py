@@ -20,8 +20,24 @@ TURNS = (0.0, 1.0, 0.0, 0.8, 0.35, 0.6, 0.5, 0.55, 0.2, 0.9, 0.7, 0.76, 0.1, 0.3
 def brake_play_test(seed: int = 0, samples: int = 800, noise: float = 5.0e4) -> Dataset:
     """Slow sweeps of the command between `TURNS` and the settled pressure of the front circuit.
 
-    The columns are u [-] and the output p [Pa], in the order of measurement, at equal steps along
-    the path of the command. `noise` is the standard deviation of the normal noise of p [Pa].
+    Parameters
+    ----------
+    seed : int
+        Seed of the noise.
+    samples : int
+        Number of samples, at equal steps along the path of the command.
+    noise : float
+        Standard deviation of the normal noise of the pressure [Pa].
+
+    Returns
+    -------
+    Dataset
+        Columns u [-] and the output p [Pa], in the order of measurement.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
     whole("seed", seed, 0)
     whole("samples", samples, len(TURNS))

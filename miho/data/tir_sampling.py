@@ -96,7 +96,14 @@ and negative on the right; the inclination angle gamma of ISO-W is negative on b
 
 
 def embedded_tire(name: str) -> Path:
-    """Path of one of the embedded tire property files: lf, rf, lr or rr."""
+    """Path of one of the embedded tire property files: lf, rf, lr or rr.
+
+    Examples
+    --------
+    >>> from miho.data import embedded_tire
+    >>> embedded_tire("lf").name
+    'lf.tir'
+    """
     if name not in EMBEDDED_RANGES:
         raise ValueError(f"no embedded tire {name!r}; choose from {', '.join(EMBEDDED_RANGES)}")
     return Path(str(resources.files("miho.data") / "tires" / f"{name}.tir"))
@@ -219,9 +226,27 @@ def sample_axle(axle: str = "front", n: int = 3000, seed: int = 0) -> Dataset:
     """n samples of the lateral force of an axle with embedded tires: left plus right.
 
     Both wheels have the same slip angle. Each draws load, camber and slip ratio from its range in
-    `EMBEDDED_RANGES`, as in `sample_tir`. `axle` is front (lf, rf) or rear (lr, rr). The columns
-    are alpha [rad], Fz_left, Fz_right [N], gamma_left, gamma_right [rad], kappa_left, kappa_right
-    [1] and the output Fy [N], ISO-W. The name is the axle and "_axle".
+    `EMBEDDED_RANGES`, as in `sample_tir`.
+
+    Parameters
+    ----------
+    axle : {'front', 'rear'}
+        The axle: tires lf and rf, or lr and rr.
+    n : int
+        Number of samples.
+    seed : int
+        Seed of the samples.
+
+    Returns
+    -------
+    Dataset
+        Columns alpha [rad], Fz_left, Fz_right [N], gamma_left, gamma_right [rad], kappa_left,
+        kappa_right [1] and the output Fy [N], ISO-W. The name is the axle and "_axle".
+
+    Raises
+    ------
+    ValueError
+        For another axle or an invalid number or seed.
     """
     if axle not in AXLES:
         raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
@@ -245,8 +270,21 @@ def unmodelled_spread(
 ) -> float:
     """Smallest RMSE [N] of any curve in alpha: sqrt(E[Var(Fy | alpha)]) over the sampling ranges.
 
-    The Monte Carlo estimate redraws the other inputs `redraws` times for each of n slip angles and
-    uses the unbiased variance. See `sample_tir` for the other parameters.
+    Parameters
+    ----------
+    tire, ranges
+        See `sample_tir`.
+    n : int
+        Number of slip angles.
+    redraws : int
+        Draws of the other inputs for each slip angle, of which the unbiased variance is taken.
+    seed : int or Generator
+        Seed of the Monte Carlo estimate.
+
+    Returns
+    -------
+    float
+        The RMSE [N].
     """
     if n < 1 or redraws < 2:
         raise ValueError(f"n is {n} and redraws {redraws}; at least 1 and 2 are needed")

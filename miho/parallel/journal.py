@@ -244,7 +244,23 @@ class Journal:
 
 
 def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
-    """Return the calling conventions in a journal, or None if there is no journal yet."""
+    """Return the calling conventions in a journal, or None if there is no journal yet.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    sequence or None
+        Calling conventions, see `Described.called_as`.
+
+    Raises
+    ------
+    JournalError
+        If no file can have this name.
+    """
     if not _is_there(path):
         return None
     try:

@@ -141,10 +141,20 @@ class Pool:
     def share(self, function: Callable[[Any], Any]) -> Callable[[Any], Future[Answer]]:
         """Return a function that has a worker call `function` with an argument.
 
-        It returns a future. The `Answer` contains the exception if the function raised one. A call
-        whose worker ended is repeated; after TRIES attempts the future raises WorkerLostError. It
-        raises WorkersGoneError if no more calls can be made, because the executor is broken or the
-        function cannot be sent.
+        A call whose worker ended is repeated, up to TRIES attempts.
+
+        Parameters
+        ----------
+        function : callable
+            Function of one argument.
+
+        Returns
+        -------
+        callable
+            Maps an argument to a future of an `Answer`, which contains the exception if the
+            function raised one. The future raises WorkerLostError if the worker ended in each
+            attempt, and WorkersGoneError if no more calls can be made, because the executor is
+            broken or the function cannot be sent.
         """
         token = uuid.uuid4().hex
         shared[token] = function  # for workers that are threads of this process

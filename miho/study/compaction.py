@@ -60,9 +60,24 @@ def without_theta(curve: bytes) -> bytes:
 
 
 def compact(top: Path) -> int:
-    """Write the curves of all undamaged runs below `top` into one file; return their number.
+    """Write the curves of all undamaged runs below `top` into one file.
 
-    Raises FileNotFoundError if the folder does not exist, and OSError if it cannot be written.
+    Parameters
+    ----------
+    top : Path
+        Folder of runs.
+
+    Returns
+    -------
+    int
+        Number of curves.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist.
+    OSError
+        If the file cannot be written.
     """
     if not top.is_dir():
         raise FileNotFoundError(f"{top}: no such folder of runs; run something first")

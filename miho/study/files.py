@@ -150,8 +150,21 @@ def write_text(path: Path, text: str, *, last: bool = True) -> None:
 def write_bytes(path: Path, data: bytes, *, last: bool = True) -> None:
     """Replace a file atomically: readers see the old file or the complete new one.
 
-    An existing link is replaced, and nothing is written through it. `last` syncs the folder, which
-    makes the names of all its files permanent. An OSError names the file.
+    An existing link is replaced, and nothing is written through it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    data : bytes
+        Its new contents.
+    last : bool
+        Whether to sync the folder, which makes the names of all its files permanent.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; the error names it.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -49,9 +49,26 @@ def code_digest(places: Iterable[Path]) -> str:
 class Identity:
     """The contents that identify a run.
 
-    Names, seed and resolved configuration are the request. Digests of code and data and versions of
-    packages are its origin. The same request with another origin is another run. `problem` and
-    `optimizer` become names of folders and must be plain words.
+    Names, seed and configuration are the request. Digests of code and data and versions of packages
+    are its origin. The same request with another origin is another run.
+
+    Parameters
+    ----------
+    problem, optimizer : str
+        Names, which become folders and must be plain words.
+    seed : int
+        Seed of the run.
+    config : mapping
+        Resolved configuration.
+    code, data : str
+        Digests of code and data.
+    packages : mapping of str to str
+        Versions of packages.
+
+    Raises
+    ------
+    ValueError
+        If a name cannot name a folder or the seed is not valid.
     """
 
     problem: str

@@ -233,7 +233,23 @@ def _runs_by_request(folder: Path) -> dict[str, list[str]]:
 
 
 def read_run(folder: Path) -> StoredRun:
-    """Read a run folder; raises DamagedRun with the reason for any mismatch."""
+    """Read a run folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    StoredRun
+        The contents of its files.
+
+    Raises
+    ------
+    DamagedRun
+        For any mismatch with the checksums, with the reason.
+    """
     result, files = read_checked(str(folder))
     try:
         contents = {name: json.loads(data) for name, data in files.items()}

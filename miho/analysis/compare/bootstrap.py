@@ -145,7 +145,22 @@ class Interval:
 
 
 def mean_error(errors: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> Interval:
-    """The mean of final errors (n,); inf counts as inf."""
+    """The mean of final errors with its bootstrap interval.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n,)
+        Final errors; inf counts as inf.
+    rng : Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+
+    Returns
+    -------
+    Interval
+        The mean.
+    """
     means = errors[resample(len(errors), rng, resamples)].mean(axis=1)
     return interval(means, means)
 
@@ -153,10 +168,21 @@ def mean_error(errors: Array, rng: np.random.Generator, resamples: int = RESAMPL
 def improvement(
     method: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """1 - mean(method) / mean(rival), of final errors (n,), (n,) paired by repetition.
+    """1 - mean(method) / mean(rival): the paper's "24 % better".
 
-    This is the paper's "24 % better". It is 1 if only the rival has no finite error, 0 if neither
-    has.
+    Parameters
+    ----------
+    method, rival : ndarray, shape (n,)
+        Final errors, paired by repetition.
+    rng : Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+
+    Returns
+    -------
+    Interval
+        1 if only the rival has no finite error, 0 if neither has.
     """
     ratio = ratio_of_means(method, rival, rng, resamples)
     best, worst = 1 - ratio.low, 1 - ratio.high
@@ -166,9 +192,21 @@ def improvement(
 def ratio_of_means(
     method: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """mean(method) / mean(rival) of final errors (n,), (n,), paired by repetition.
+    """mean(method) / mean(rival) of final errors.
 
-    Two means without a finite value count as equal.
+    Parameters
+    ----------
+    method, rival : ndarray, shape (n,)
+        Final errors, paired by repetition.
+    rng : Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+
+    Returns
+    -------
+    Interval
+        The ratio. Two means without a finite value count as equal.
     """
     picks = resample(_common_length([method, rival]), rng, resamples)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -180,9 +218,24 @@ def ratio_of_means(
 def time_to_target(
     curve: MeanCurve, target: float, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """First position where the mean curve is at most `target`, in the unit of its axis.
+    """First position where the mean curve is at most `target`.
 
-    If it never is, the result is [earliest end of a cut run, inf], or inf if all runs had finished.
+    Parameters
+    ----------
+    curve : MeanCurve
+        Runs of a method.
+    target : float
+        Error.
+    rng : Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+
+    Returns
+    -------
+    Interval
+        The position in the unit of the curve's axis. If the mean never reaches the target:
+        [earliest end of a cut run, inf], or inf if all runs had finished.
     """
     return interval(*curve.reaches(target, resample(len(curve.errors), rng, resamples)))
 
@@ -196,12 +249,34 @@ def speed_up(
 ) -> Interval:
     """Time to target of the fastest rival's mean curve, divided by the time of `method`.
 
-    Runs are paired by repetition: row i of every curve has the same seed. Times that the budget cut
-    off enter as bounds, for the method and the rivals alike. If no rival reaches the target, the
-    ratio is between (earliest end of a cut rival) / (the method's time) and inf. If some do and
-    others were cut before, the fastest of the former gives the upper bound and the earliest cut the
-    lower bound. If the method does not reach the target, the lower bound is 0; the ratio is exactly
-    0 if its runs had finished.
+    Times that the budget cut off enter as bounds, for the method and the rivals alike. If no rival
+    reaches the target, the ratio is between (earliest end of a cut rival) / (the method's time) and
+    inf. If some do and others were cut before, the fastest of the former gives the upper bound and
+    the earliest cut the lower bound. If the method does not reach the target, the lower bound is 0;
+    the ratio is exactly 0 if its runs had finished.
+
+    Parameters
+    ----------
+    method : MeanCurve
+        Runs of the method.
+    rivals : sequence of MeanCurve
+        Runs of the rivals, paired by repetition: row i of every curve has the same seed.
+    target : float
+        Error.
+    rng : Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+
+    Returns
+    -------
+    Interval
+        The ratio.
+
+    Raises
+    ------
+    ValueError
+        If there are no rivals or the numbers of repetitions differ.
     """
     if not rivals:
         raise ValueError("speed_up needs at least one rival")

@@ -28,11 +28,26 @@ def ecdf(
     grid: Array | None = None,
     dimensions: Mapping[str, int] | None = None,
 ) -> pd.DataFrame:
-    """Share of all (problem, seed, factor) reached within each budget: optimizer, axis, share.
+    """Share of all (problem, seed, factor) reached within each budget.
 
     This is the runtime distribution of COCO (Hansen et al. 2021) over the actual runs, without
-    simulated restarts: a curve ends at the share that was reached. With `dimensions` (problem to
-    number of parameters) the axis is per parameter, as in COCO.
+    simulated restarts: a curve ends at the share that was reached.
+
+    Parameters
+    ----------
+    hits : DataFrame
+        As from `running_time.hits`.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        The axis.
+    grid : ndarray, optional
+        Budgets; by default evenly spaced in the logarithm.
+    dimensions : mapping of str to int, optional
+        Number of parameters of each problem. If given, the axis is per parameter, as in COCO.
+
+    Returns
+    -------
+    DataFrame
+        Columns optimizer, the axis and share.
     """
     require_columns(hits, ["problem", "optimizer", axis], "hits")
     spent = hits[axis].astype(float)

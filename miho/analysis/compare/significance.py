@@ -182,7 +182,15 @@ def signed_rank(differences: Array) -> tuple[float, float]:
 
 
 def holm(p: Array) -> Array:
-    """Holm's (1979) step-down adjusted p-values (n,), in the given order."""
+    """Holm's (1979) step-down adjusted p-values (n,), in the given order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from miho.analysis.compare.significance import holm
+    >>> holm(np.array([0.01, 0.04, 0.03])).round(3).tolist()
+    [0.03, 0.06, 0.06]
+    """
     order = np.argsort(p, kind="stable")
     adjusted = np.empty(p.size)
     steps = np.arange(p.size, 0, -1) * p[order]
