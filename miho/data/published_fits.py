@@ -51,7 +51,14 @@ class PublishedFit:
 
 
 def published_names() -> tuple[str, ...]:
-    """Names of all published problems, in alphabetical order."""
+    """Names of all published problems, in alphabetical order.
+
+    Examples
+    --------
+    >>> from miho.data import published_names
+    >>> published_names()[:3]
+    ('bard', 'bennett5', 'biggs')
+    """
     return tuple(sorted(path.stem for path in FOLDER.glob("*.txt")))
 
 
@@ -108,14 +115,43 @@ def published_fit(name: str) -> PublishedFit:
 
 
 def load_published(name: str) -> Dataset:
-    """Data of the published problem `name`: y over x, or over x1, x2, ..., without units."""
+    """Data of a published problem: y over x, or over x1, x2, ..., without units.
+
+    Parameters
+    ----------
+    name : str
+        One of `published_names`.
+
+    Returns
+    -------
+    Dataset
+        The data.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+    """
     return published_fit(name).dataset
 
 
 def zero_residuals(rows: int) -> Dataset:
-    """Data of a system of `rows` residuals: y = 0 over `row`, from 1, without units.
+    """Data of a system of residuals, whose model is `miho.models.ResidualSystem`.
 
-    The model is `miho.models.ResidualSystem`. Raises ValueError if `rows` is less than one.
+    Parameters
+    ----------
+    rows : int
+        Number of residuals.
+
+    Returns
+    -------
+    Dataset
+        y = 0 over `row`, from 1, without units.
+
+    Raises
+    ------
+    ValueError
+        If `rows` is less than one.
     """
     whole("rows", rows, 1)
     columns = {"y": np.zeros(rows), "row": np.arange(1.0, rows + 1)}

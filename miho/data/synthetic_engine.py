@@ -80,11 +80,22 @@ def _filling(throttle: Array, n: Array) -> Array:
 
 
 def dyno_test(seed: int = 0) -> Dataset:
-    """A dyno test: throttle [-], omega [rad/s] every 100 rpm from 1000 to 7000 rpm, torque [Nm].
+    """A dyno test of the engine at the openings `DYNO_THROTTLES`.
 
     The noise is 2 Nm at an opening of 0 and from 30 % on. In between, where the dyno cannot hold a
     small torque, the noise is 15 Nm, and each curve has an additional error of 20 to 40 Nm that
     drifts with the speed: these curves cannot be trusted.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    Dataset
+        Columns throttle [-], omega [rad/s] every 100 rpm from 1000 to 7000 rpm, and the output
+        torque [Nm].
     """
     whole("seed", seed, 0)
     rng = np.random.default_rng(seed)
@@ -207,7 +218,17 @@ def engine_driving_log(seed: int = 0) -> DrivingLog:
     In each gear the driver shifts up at full throttle to 6800 rpm, holds the opening while the
     engine slows down, brakes to 1300 rpm, and holds it again while the engine speeds up (or not).
     Every opening thus meets nearly all engine speeds, on both sides of its equilibrium. The
-    accelerometer includes the grade. `seed` determines the noise of the channels.
+    accelerometer includes the grade.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the channels' noise.
+
+    Returns
+    -------
+    DrivingLog
+        The drive.
     """
     whole("seed", seed, 0)
     truth = _true_channels()
@@ -238,10 +259,25 @@ def _true_channels() -> Array:
 
 
 def load_engine_drive(throttle: float, seed: int = 0) -> Dataset:
-    """Torque samples at a held opening of `engine_driving_log`: omega [rad/s] and torque [Nm].
+    """Torque samples at a held opening of `engine_driving_log`.
 
-    `throttle` is 0.05, 0.15, 0.2 or 0.3. The dataset is named "torque_" and the opening in percent.
-    Raises ValueError for another opening.
+    Parameters
+    ----------
+    throttle : {0.05, 0.15, 0.2, 0.3}
+        The opening.
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    Dataset
+        Columns omega [rad/s], throttle [-] and the output torque [Nm], named "torque_" and the
+        opening in percent.
+
+    Raises
+    ------
+    ValueError
+        For another opening.
     """
     if throttle not in HELD_THROTTLES:
         raise ValueError(f"throttle is {throttle}; expected one of {HELD_THROTTLES}")

@@ -24,9 +24,15 @@ UNITS = {"omega": "rad/s", "throttle": "-", "torque": "Nm"}
 
 
 class TorqueSamples(NamedTuple):
-    """Samples that no rule drops, and the number of samples that each rule dropped.
+    """Samples of the torque, and the effect of each rule.
 
-    A sample counts for the first rule that drops it, in the order of `dropped`.
+    Attributes
+    ----------
+    dataset : Dataset
+        Samples that no rule drops.
+    dropped : mapping of str to int
+        Number of samples that each rule dropped. A sample counts for the first rule that drops it,
+        in this order.
     """
 
     dataset: Dataset
@@ -40,19 +46,41 @@ class TorqueRules:
     In this order, the rules drop
 
         ends        the first and last 1 / `cutoff` [s];
-        speed       vx below `min_speed` [m/s];
-        shift       no gear, or a change of gear within `window` [s];
+        speed       vx below `min_speed`;
+        shift       no gear, or a change of gear within `window`;
         clutch      within `window`, engine speed that differs from the wheels' by more than the
                     fraction `max_slip`: the clutch slips or the tires spin;
-        brake       within `window`, brake pressure above `max_brake` [Pa];
-        transient   throttle that moved by more than `tolerance` in the last `settle` [s] or will
-                    within `window`: a turbocharged engine responds slowly;
-        cornering   |v_x r| above `max_lateral` [m/s^2], because steered wheels drag; only if the
-                    log has yaw_rate;
+        brake       within `window`, brake pressure above `max_brake`;
+        transient   throttle that moved by more than `tolerance` in the last `settle` or will within
+                    `window`: a turbocharged engine responds slowly;
+        cornering   |v_x r| above `max_lateral`, because steered wheels drag; only if the log has
+                    yaw_rate;
         throttle    throttle that differs by more than `tolerance` from the requested one, if any.
 
-    `cutoff` [Hz] is the cutoff of the low pass. `window` should cover 1 / cutoff, because filters
-    spread the effects of a shift over its neighbours.
+    Parameters
+    ----------
+    cutoff : float
+        Cutoff of the low pass [Hz].
+    min_speed : float
+        Smallest speed [m/s].
+    window : float
+        Time around an event [s]. It should cover 1 / cutoff, because filters spread the effects of
+        a shift over its neighbours.
+    settle : float
+        Time after a change of the throttle [s].
+    tolerance : float
+        Largest change of the throttle [-].
+    max_slip : float
+        Largest relative difference of engine and wheel speed [-].
+    max_brake : float
+        Largest brake pressure [Pa].
+    max_lateral : float
+        Largest lateral acceleration [m/s^2].
+
+    Raises
+    ------
+    ValueError
+        If a setting is not positive.
     """
 
     cutoff: float = 5.0
@@ -71,11 +99,29 @@ class TorqueRules:
     def apply(
         self, log: DrivingLog, car: Longitudinal, throttle: float | None = None
     ) -> TorqueSamples:
-        """Columns omega [rad/s], throttle [-] and the output torque [Nm] of the engine.
+        """Torque of the engine in the samples that no rule drops.
 
         The torque follows from ax (if it is not logged, `longitudinal_acceleration` uses the
-        speeds), vx, gear and grade. The log must have the channels vx, gear, engine_speed, throttle
-        and brake. Raises ValueError with the counts of each rule if no sample is left.
+        speeds), vx, gear and grade.
+
+        Parameters
+        ----------
+        log : DrivingLog
+            A log with the channels vx, gear, engine_speed, throttle and brake.
+        car : Longitudinal
+            The car.
+        throttle : float, optional
+            Opening [0, 1] of the samples to use; by default all.
+
+        Returns
+        -------
+        TorqueSamples
+            Columns omega [rad/s], throttle [-] and the output torque [Nm], and the dropped samples.
+
+        Raises
+        ------
+        ValueError
+            If no sample is left, with the counts of each rule.
         """
         if throttle is not None and not 0 <= throttle <= 1:
             raise ValueError(f"throttle is {throttle!r}; expected 0 to 1, for example 0.3 for 30 %")

@@ -40,7 +40,13 @@ def _pools(modules: int) -> threadpoolctl.ThreadpoolController:
 
 
 def environment_stamp() -> dict[str, Any]:
-    """Current machine, versions, threads and load, without personal information."""
+    """Current machine, versions, threads and load, without personal information.
+
+    Returns
+    -------
+    dict
+        Values for a JSON file.
+    """
     return {
         "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),

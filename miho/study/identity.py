@@ -31,9 +31,19 @@ def sha256(text: str | bytes) -> str:
 
 
 def code_digest(places: Iterable[Path]) -> str:
-    """SHA-256 over the names and the meaning of Python files and of all Python files in folders.
+    """Digest of Python files and of all Python files in folders.
 
     Comments, docstrings and layout do not count. C files in the folders are included as bytes.
+
+    Parameters
+    ----------
+    places : iterable of Path
+        Files and folders.
+
+    Returns
+    -------
+    str
+        SHA-256 over the names and the meaning of the files.
     """
     digest = hashlib.sha256()
     for place in places:

@@ -31,7 +31,19 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Execution:
-    """A requested run: its status, and the stored run or the file of its partial result."""
+    """A requested run.
+
+    Attributes
+    ----------
+    status : Status
+        How it ended.
+    run : StoredRun or None
+        The stored run.
+    partial : Path or None
+        File of the partial result.
+    error : str or None
+        Error of a failed run.
+    """
 
     status: Status
     run: StoredRun | None = None

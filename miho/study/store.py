@@ -57,7 +57,15 @@ class RunInUse(Exception):  # noqa: N818 -- another process holds the run, not a
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A finished run: its folder and the contents of its files."""
+    """A finished run.
+
+    Attributes
+    ----------
+    folder : Path
+        Its folder.
+    config, environment, curve, result : mapping
+        Contents of its files.
+    """
 
     folder: Path
     config: Mapping[str, Any]
@@ -68,7 +76,13 @@ class StoredRun:
 
 @dataclass(frozen=True)
 class Store:
-    """All runs below a root folder."""
+    """All runs below a root folder.
+
+    Parameters
+    ----------
+    root : Path
+        The folder.
+    """
 
     root: Path
 
@@ -124,7 +138,26 @@ class Store:
         environment: Mapping[str, Any],
         facts: Mapping[str, Any],
     ) -> StoredRun:
-        """Write a finished run; `facts` describe its problem (unit, irreducible error ...)."""
+        """Write a finished run.
+
+        Parameters
+        ----------
+        identity : Identity
+            Identity of the run.
+        record : RunRecord
+            The run.
+        space : Space
+            Space of its parameters.
+        environment : mapping
+            Environment of the run, see `environment_stamp`.
+        facts : mapping
+            Facts of its problem (unit, irreducible error ...).
+
+        Returns
+        -------
+        StoredRun
+            The run, read from its files.
+        """
         folder = self.folder(identity)
         contents = {
             CONFIG: canonical(dict(identity.config)),
@@ -150,10 +183,21 @@ class Store:
         return {name: read_bytes(str(folder / name), LARGEST) for name in present}
 
     def receive(self, identity: Identity, files: Mapping[str, bytes]) -> None:
-        """Store the `files` of a run from another store; requires a claim.
+        """Store a run from another store; requires a claim.
 
-        The result is written last, as in `commit`. Raises DamagedRun, naming the run, if the files
-        are not a complete run.
+        The result is written last, as in `commit`.
+
+        Parameters
+        ----------
+        identity : Identity
+            Identity of the run.
+        files : mapping of str to bytes
+            The files of the run, see `files`.
+
+        Raises
+        ------
+        DamagedRun
+            If the files are not a complete run; the error names the run.
         """
         folder = self.folder(identity)
         folder.mkdir(parents=True, exist_ok=True)

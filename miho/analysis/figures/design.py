@@ -19,9 +19,18 @@ GREY, PALE = "#6e6e6e", "#cfcfcf"
 def design_figure(rows: pd.DataFrame, table: pd.DataFrame) -> Figure:
     """Two panels: the rows over one or two inputs, and half widths before and after.
 
-    `rows` has a column for each input, of which the first two that vary are drawn, and the column
-    `row`: present, candidate or chosen. `table` has the columns `quantity` and the half widths of
-    `miho.identification.Design.table`.
+    Parameters
+    ----------
+    rows : DataFrame
+        A column for each input, of which the first two that vary are drawn, and the column `row`:
+        present, candidate or chosen.
+    table : DataFrame
+        The column `quantity` and the half widths of `miho.identification.Design.table`.
+
+    Returns
+    -------
+    Figure
+        The panels.
     """
     every = [name for name in rows.columns if name != "row"]
     inputs = [name for name in every if rows[name].nunique() > 1] or every[:1]

@@ -65,7 +65,20 @@ def house_style() -> AbstractContextManager[None]:
 
 
 def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
-    """Write `<path>.png` (200 dpi) and `<path>.pdf`, creating the folder; return both paths."""
+    """Write a figure as PNG (200 dpi) and PDF, creating the folder.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    path_without_suffix : path-like
+        Path of the files without suffix.
+
+    Returns
+    -------
+    list of Path
+        Both files.
+    """
     stem = Path(path_without_suffix)
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("png", "pdf")]

@@ -99,7 +99,22 @@ def plot_tires(
     tires: Sequence[str],
     errors: Mapping[str, float],
 ) -> Axes:
-    """Samples as light points and learned curves as lines, for one or two tires, as in `fig4`."""
+    """Samples as light points and learned curves as lines, for one or two tires, as in `fig4`.
+
+    Parameters
+    ----------
+    samples, curves, errors
+        See `fig4`.
+    ax : Axes
+        The panel.
+    tires : sequence of str
+        Tires to draw.
+
+    Returns
+    -------
+    Axes
+        The panel.
+    """
     palette = sns.color_palette("colorblind")
     for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=False):
         label = TIRE_NAMES[tire]

@@ -24,7 +24,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
             "parameter": row["parameter"],
             "value": to_error(row["value"], error),
             "unit": row["unit"],
-            "standard error": "fixed" if math.isnan(error) else to_error(error, error),
+            "standard error": "at bound" if math.isnan(error) else to_error(error, error),
         }
         for kind in kinds:
             low, high = row[f"{kind} low"], row[f"{kind} high"]
