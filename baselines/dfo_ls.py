@@ -107,8 +107,7 @@ class DFOLS(Optimizer):
 
 
 class _ScaledResiduals:
-    """Scaled residuals (m,) over the unit cube; finite everywhere if they are usable at the
-    start."""
+    """Scaled residuals (m,) over the unit cube; finite if they are usable at the start."""
 
     def __init__(self, oracle: Oracle, box: UnitBox) -> None:
         self._oracle = oracle

@@ -1,5 +1,4 @@
-"""Curves, statistics, claims, figures and pages, as functions of the tidy frames of runs and
-curves.
+"""Curves, statistics, claims, figures and pages, as functions of tidy frames.
 
 These names are loaded on first use, because their modules need pandas, SciPy or matplotlib.
 """

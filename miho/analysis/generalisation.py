@@ -1,5 +1,4 @@
-"""Accuracy of an identified curve on a drive that was not used to identify it (Sec. V-A.1, Fig.
-4)."""
+"""Accuracy of an identified curve on a drive with other data (Sec. V-A.1, Fig. 4)."""
 
 from __future__ import annotations
 

@@ -37,8 +37,10 @@ LOOSE_DOTS: Dashes = (0, (1, 3))
 
 @dataclass(frozen=True)
 class MethodStyle:
-    """Style of a method. `dashes` is matplotlib's (offset, on-off pattern in line widths); `width`
-    is in points."""
+    """Style of a method in figures.
+
+    `dashes` is matplotlib's (offset, on-off pattern in line widths); `width` is in points.
+    """
 
     name: str
     color: str
@@ -129,8 +131,7 @@ HUES = tuple(_RELATED)
 
 
 def distinct(methods: Iterable[str]) -> dict[str, MethodStyle]:
-    """`styles_of` with a different hue for each method, while hues last; for figures of few
-    methods.
+    """`styles_of` with a different hue for each method; for figures of few methods.
 
     The solid line of a family keeps its hue. The others take the nearest hue that no method in the
     figure has.

@@ -42,8 +42,7 @@ class Clock:
         return UNITS[self.axis]
 
     def advice(self, command: str) -> str:
-        """How to get wall seconds; empty if the clock has them. `command` is the command of the
-        runs."""
+        """How to get wall seconds by `command`; empty if the clock has them."""
         if self.axis == "seconds":
             return ""
         return (

@@ -19,8 +19,7 @@ from miho.validate import whole
 
 
 def file_name(path: str | os.PathLike[str]) -> str:
-    """Name of a file's dataset: the stem, with "_" for characters that folder names should not
-    have."""
+    """Name of a file's dataset: the stem, with "_" for characters unsuitable for folders."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(path).stem)
 
 

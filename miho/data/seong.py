@@ -16,8 +16,7 @@ FORCES = {"a": "FyA", "b": "FyB"}
 
 
 class DataUnavailableError(OSError):
-    """The data are not on this machine and could not be downloaded; the message says how to get
-    them."""
+    """The data are neither on this machine nor downloadable; the message gives a remedy."""
 
 
 def load_seong_sample(tire: str) -> Dataset:

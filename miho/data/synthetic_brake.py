@@ -35,8 +35,7 @@ AXLES = ("front", "rear")
 def brake_pressure_test(
     seed: int = 0, steps: int = 50, samples: int = 20, noise: float = 5.0e3
 ) -> Dataset:
-    """A staircase of commands from 0 to 1 and back, with samples of the settled pressure on each
-    step.
+    """Settled pressure on a staircase of commands from 0 to 1 and back.
 
     The top steps exceed u1, so that the pressure is P_max.
 
@@ -72,8 +71,7 @@ def brake_pressure_test(
 def brake_torque_test(
     axle: str = "front", seed: int = 0, steps: int = 40, samples: int = 20, noise: float = 10.0
 ) -> Dataset:
-    """Torque of an axle over the pressure in its circuit, at three speeds, on which it does not
-    depend.
+    """Torque of an axle over the pressure in its circuit, at three speeds.
 
     Parameters
     ----------

@@ -193,8 +193,7 @@ class TorqueRules:
         return np.asarray(scipy.ndimage.binary_dilation(events, around))
 
     def _swing(self, pedal: Array, dt: float) -> Array:
-        """Difference between the largest and the smallest value from `settle` ago to `window`
-        ahead."""
+        """Range of the values from `settle` ago to `window` ahead."""
         before, after = round(self.settle / dt), round(self.window / dt)
         size = before + after + 1
         origin = before - size // 2

@@ -92,8 +92,7 @@ class ClusterGaussNewton(Optimizer):
     def _first(
         self, look: _Residuals, rng: np.random.Generator, common: Array | None
     ) -> tuple[Array, Array]:
-        """Points (N, d) drawn until all have usable residuals (N, m); empty if no draw of N has
-        any."""
+        """Points (N, d) with usable residuals (N, m); empty if no draw of N has any."""
         X: list[Array] = []
         Y: list[Array] = []
         while len(X) < self.N:
@@ -174,8 +173,7 @@ def cluster_steps(
 
 
 def within(x: Array, step: Array) -> Array:
-    """The step (d,) from x in the unit cube; components that cross a bound go half of the way to
-    it."""
+    """The step (d,) from x in the unit cube; across a bound, half of the way to it."""
     bound = np.where(step > 0, 1.0, 0.0)
     crosses = np.abs(step) > np.abs(bound - x)
     return np.where(crosses, (bound - x) / 2, step)

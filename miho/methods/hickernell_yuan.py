@@ -133,8 +133,7 @@ class HickernellYuan(Optimizer):
                 local_search(oracle, sample.best, self.tolerance, "trf", 1 + self.final)
 
     def converged(self, stationary: int, worse: int) -> bool:
-        """Return whether NSP `stationary` points and NWSP `worse` points since the last are
-        enough."""
+        """Return whether NSP `stationary` and NWSP `worse` points are enough."""
         return stationary >= self.least and worse > self.r + math.sqrt(self.r) * stationary
 
     def _iterate(self, oracle: Oracle, sample: _Sample) -> None:
@@ -247,8 +246,7 @@ class _Sample:
             self.thetas[0], self.common = self.common, None
 
     def retain(self, q: int, s: int) -> list[int]:
-        """Count the q best as retained once more; return and release points retained for the s-th
-        time."""
+        """Retain the q best; return and release the points retained for the s-th time."""
         best = np.argsort(self.losses, kind="stable")[:q]
         best = best[np.isfinite(self.losses[best])]
         counts = self.retained[best] + 1

@@ -124,8 +124,7 @@ class PSO(AskTell[PSOState]):
         state.iteration += 1
 
     def done(self, state: PSOState) -> bool:
-        """Return whether a swarm without bounds has diverged: no particle is within FAR of the
-        box."""
+        """Return whether a swarm without bounds has diverged: no particle is near the box."""
         if self.bounds != "none":
             return False
         low, high = state.space.bounds

@@ -170,8 +170,7 @@ class _ReferenceSet:
         self.x[i], self.losses[i], self.stuck[i] = x, loss, 0
 
     def replace_twins(self, twins: float) -> None:
-        """Sort, and replace members that are within `twins` of better ones, until there are
-        none."""
+        """Sort, and replace members within `twins` of better ones, until there are none."""
         while True:
             order = np.argsort(self.losses, kind="stable")
             self.x, self.losses, self.stuck = self.x[order], self.losses[order], self.stuck[order]
@@ -189,8 +188,7 @@ class _ReferenceSet:
         return children, losses.reshape(low.shape[:2])
 
     def update(self, children: Array, losses: Array, patience: int) -> None:
-        """Replace members by better children, and by uniform draws after `patience` iterations
-        without any."""
+        """Replace members by better children, or by uniform draws after `patience`."""
         for i, best in enumerate(np.argmin(losses, axis=1)):
             if losses[i, best] < self.losses[i]:
                 self.replace(i, *self._beyond(i, children[i, best], float(losses[i, best])))
@@ -207,8 +205,7 @@ class _ReferenceSet:
         return float(self._oracle(self.box.theta(x)[None])[0])
 
     def _beyond(self, i: int, child: Array, loss: float) -> tuple[Array, float]:
-        """The last improvement on a child that is better than its parent, the i-th (Algorithm
-        1)."""
+        """The last improvement on a child better than its parent, the i-th (Algorithm 1)."""
         parent, parent_loss = self.x[i], float(self.losses[i])
         reach, improvements = 1.0, 1
         best, least = child, loss

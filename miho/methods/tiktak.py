@@ -80,8 +80,7 @@ class TikTak(Optimizer):
         one_of("method", self.method, METHODS)
 
     def weight(self, i: int, K: int) -> float:
-        """Weight of the lowest point so far in the start of the i-th of K searches, counted from
-        1."""
+        """Weight of the lowest point so far in the start of the i-th of K searches, from 1."""
         if i == 1:
             return 0.0
         return min(max(self.lowest_weight, math.sqrt(i / K)), self.highest_weight)

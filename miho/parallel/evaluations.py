@@ -147,8 +147,7 @@ class Evaluations:
         return self.usage.workers
 
     def resting(self) -> bool:
-        """Return whether evaluations are so short that this one is made here, untimed
-        (`Worth.brief`)."""
+        """Return whether evaluations are so short that this one is made here, untimed."""
         return self.worth.resting() and self._submitted is None
 
     @property
@@ -162,8 +161,7 @@ class Evaluations:
         return self._pool is not None and self.worth.alone
 
     def ahead(self, ask: Callable[[], object]) -> Ahead:
-        """Begin all evaluations that `ask` needs, without waiting; the result of `ask` is
-        discarded."""
+        """Begin all evaluations that `ask` needs, without waiting; discard the result of `ask`."""
         keys: list[Key] = []
         if self._pool is not None and not self.worth.short:
             self._submitted = keys

@@ -118,8 +118,7 @@ class JournalCheck:
             self._fail(failures)
 
     def _typical(self, task: str) -> float:
-        """Typical size of a function's values: the median of the largest numbers of its first
-        values."""
+        """Typical size of a function's values: the median over the first of their maxima."""
         loaded = islice(self._journal, self._journal.loaded)
         values = (self._journal[key] for key in loaded if key[0] == task)
         first = islice((v for v in values if not isinstance(v, Raised) and _is_finite(v)), EARLY)

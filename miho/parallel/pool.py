@@ -164,8 +164,7 @@ class Pool:
         return lambda argument: self._call(token, pickled, argument, next(calls) < self.size)
 
     def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> Iterator[Any]:
-        """Yield the value of a function at each argument, in order; raises the function's
-        exceptions."""
+        """Yield the value of a function at each argument, in order; raise its exceptions."""
         call = self.share(function)
         futures = [call(argument) for argument in arguments]
         self.flush()

@@ -69,8 +69,7 @@ gives the same bits only if they are equal."""
 
 
 def blas_kernels() -> list[str]:
-    """Code that each linear algebra library selected for this CPU, for example "openblas
-    Haswell"."""
+    """Code that each linear algebra library selected for this CPU ("openblas Haswell")."""
     pools = _pools(len(sys.modules)).info()
     kernels = {
         f"{pool['internal_api']} {pool['architecture']}"

@@ -72,8 +72,7 @@ class Runs:
 
     @cached_property
     def _curves(self) -> tuple[pd.DataFrame, list[Damage]]:
-        """The table of curves, and the curves that are malformed although their checksum
-        matches."""
+        """The table of curves, and the malformed curves with a valid checksum."""
         cache, malformed, rows, curves = compacted(self.top), [], [], []
         for row, (digest, text) in enumerate(self.texts):
             try:

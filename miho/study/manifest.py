@@ -28,8 +28,7 @@ SHOWN = 3
 
 
 def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]) -> None:
-    """Write the settings of a sweep's runs; `runs` maps the overrides of each run to its
-    identity."""
+    """Write the settings of a sweep's runs, given by overrides and identity."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
     parts, configs, entries = _DistinctValues(), _DistinctValues(), {}

@@ -8,8 +8,7 @@ class ConformanceError(AssertionError):
 
 
 class NoEvaluation(BaseException):
-    """Raised in a method that makes no evaluations; not an Exception, which a method might
-    catch."""
+    """A method makes no evaluations. Not an Exception, which a method might catch."""
 
 
 def require(condition: bool, message: str) -> None:

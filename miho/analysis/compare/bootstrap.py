@@ -55,8 +55,7 @@ class MeanCurve:
         axis: Axis,
         seeds: Sequence[int],
     ) -> MeanCurve:
-        """The runs of `optimizer` with these seeds, in their order; frames as from
-        `one_problem`."""
+        """The runs of `optimizer` with these seeds, in order; frames from `one_problem`."""
         of_method = runs[runs["optimizer"] == optimizer].set_index("seed").loc[list(seeds)]
         rows = curves[curves["id"].isin(of_method["id"])]
         at = np.unique(positions(rows, axis))
@@ -69,8 +68,7 @@ class MeanCurve:
         return cls(at, errors, of_method[axis].to_numpy(dtype=float), cut)
 
     def reaches(self, target: float, picks: Picks) -> tuple[Array, Array]:
-        """Bounds (m,), (m,) on the position at which the mean of each resample is first at most
-        `target`.
+        """Bounds (m,), (m,) on where the mean of each resample is first at most `target`.
 
         `picks` (m, n) are row numbers, one resample per row. The second bound is the position for
         the runs as they are, inf if they never reach the target. The first bound is the same or, if
@@ -88,8 +86,7 @@ class MeanCurve:
         return np.minimum(reached, earliest_cut), reached
 
     def still_falling(self, tolerance: float = 0.01) -> bool:
-        """Return whether a larger budget would matter: the mean fell in the second half of the
-        runs.
+        """Return whether the mean fell in the second half, so that more budget matters.
 
         True if a run was cut and the mean fell by more than `tolerance` (relative) between half of
         each run's length and its end.

@@ -39,8 +39,7 @@ class Comparison:
 
     @classmethod
     def of(cls, runs: pd.DataFrame, curves: pd.DataFrame, root: Path) -> Comparison | None:
-        """The last comparison below a root, with all its runs; None if there is none or it is
-        unreadable."""
+        """The last comparison below a root, with all its runs; None if there is none."""
         try:
             about = json.loads((root / COMPARISON).read_text(encoding="utf-8"))
             planned = set(map(str, about["runs"]))
@@ -64,8 +63,7 @@ def write_tables(
     captions: Mapping[str, str],
     output: Path,
 ) -> tuple[list[str], list[Path]]:
-    """Write each table as CSV and as Markdown with its caption; return the Markdown and all
-    paths."""
+    """Write tables as CSV and as Markdown with captions; return the Markdown and the paths."""
     output.mkdir(parents=True, exist_ok=True)
     texts, paths = [], []
     for name, table in tables.items():

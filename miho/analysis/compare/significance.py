@@ -32,8 +32,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FriedmanTest:
-    """Test for different average ranks: Friedman's chi2 and Iman and Davenport's F, each with its
-    p.
+    """Friedman's chi2 and Iman and Davenport's F for different ranks, each with its p.
 
     chi2 (methods - 1 degrees of freedom) is corrected for ties. Report F, with (methods - 1) and
     (methods - 1)(problems - 1) degrees of freedom, because chi2 is conservative.
@@ -262,8 +261,7 @@ def pairwise_speed_up(
 
 
 def _members(families: list[str]) -> NDArray[np.intp]:
-    """Positions of each family's members (families, most); the position after the last fills
-    rows."""
+    """Positions of each family's members (families, most), padded with the number of all."""
     codes = pd.factorize(pd.Series(families))[0]
     table = np.full((codes.max() + 1, np.bincount(codes).max()), codes.size)
     for code, row in enumerate(table):

@@ -115,8 +115,7 @@ def mismatch(settings: Mapping[str, Settings], *methods: str) -> str:
 
 
 def nearest_to_paper(runs: pd.DataFrame, settings: Mapping[str, Settings]) -> dict[str, str]:
-    """For each method of the paper that has runs, the name with the settings nearest to the
-    paper's.
+    """For each method of the paper, the name of the runs with the nearest settings.
 
     Of several with equally many deviations the last counts, in the order of names.
     """

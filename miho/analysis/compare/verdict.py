@@ -222,8 +222,7 @@ def of_both_axes(
 
 
 def without_claim(measured: Interval, repetitions: int) -> Verdict:
-    """Verdict on a speed ratio that the paper does not print: the faster method, if the interval
-    decides."""
+    """Verdict on a speed ratio that the paper does not print: faster, slower or undecided."""
     if repetitions < LEAST_REPETITIONS:
         return Verdict("-", f"only {repetitions} repetitions")
     if measured.low > 1:

@@ -81,8 +81,7 @@ def _over_rows(frame: pd.DataFrame, value: str, colours: dict[str, str], label: 
 
 
 def run_figure(frame: pd.DataFrame) -> Figure:
-    """Seconds of a run by its form, and the speed-up relative to the first. Frame: form, seconds,
-    speedup."""
+    """Seconds of a run by its form, and speed-ups. Frame: form, seconds, speedup."""
     require_columns(frame, {"form", "seconds", "speedup"}, "frame")
     texts = [f"{s:.3g} s, {x:.3g} times" for s, x in zip(frame["seconds"], frame["speedup"],
              strict=True)]  # fmt: skip
@@ -95,8 +94,7 @@ def run_figure(frame: pd.DataFrame) -> Figure:
 
 
 def overhead_figure(frame: pd.DataFrame) -> Figure:
-    """Microseconds per evaluation that each method takes, without the loss. Frame: kind, name,
-    us."""
+    """Microseconds per evaluation of each method without the loss. Frame: kind, name, us."""
     require_columns(frame, {"kind", "name", "us"}, "frame")
     rows = frame[(frame["kind"] == "method") & frame["us"].gt(0)].sort_values("us")
     with house_style():

@@ -1,5 +1,4 @@
-"""Figures of the field tests: obstacle avoidance, laps at speed, and lap times by knowledge of the
-car."""
+"""Figures of the field tests: obstacle avoidance, laps at speed, and comparisons of laps."""
 
 from __future__ import annotations
 

@@ -118,8 +118,7 @@ def png(figure: Figure) -> bytes:
 
 @dataclass(frozen=True)
 class EndLabel:
-    """A label of a curve; `value` is its end in data units, NaN for a curve without an end
-    value."""
+    """A label of a curve; `value` is its end in data units, or NaN."""
 
     value: float
     text: str

@@ -182,8 +182,7 @@ def _mixtures(origins: list[Origin]) -> list[str]:
 
 
 def _busy(environment: Mapping[str, str]) -> bool:
-    """Return whether the load average of one minute exceeds the number of cores, if both are
-    known."""
+    """Return whether the load average exceeds the number of cores, if both are known."""
     load, cores = (json.loads(environment.get(key, "null")) for key in ("load", "cores"))
     first = load[0] if isinstance(load, list) and load else None
     return isinstance(first, Real) and isinstance(cores, Real) and float(first) > float(cores)
