@@ -81,7 +81,7 @@ def axle_samples(
     """
     if axle not in ("front", "rear"):
         raise ValueError(f"axle is {axle!r}; expected 'front' or 'rear'")
-    # Slip angles and forces of both axles, from channels filtered alike.
+    # Slip angles and forces of both axles, from equally filtered channels.
     vx, vy, yaw_rate, steering = (
         log.filtered(channel, cutoff) for channel in ("vx", "vy", "yaw_rate", "steering")
     )

@@ -375,7 +375,7 @@ def _header_remedy(name: str, names: Sequence[str]) -> str:
 
 def _lines(path: Path) -> list[str]:
     """Lines of a text file without empty lines at its end; raises CSVError for other files."""
-    # A regular file of some size.
+    # Read a regular file within the size limit.
     try:
         large = path.stat().st_size > MAX_BYTES
         data = b"" if large else read_regular(path, MAX_BYTES + 1)
@@ -385,7 +385,7 @@ def _lines(path: Path) -> list[str]:
         raise CSVError(path, 1, 1, "cannot be read; check its permissions") from None
     if large or len(data) > MAX_BYTES:
         raise CSVError(path, 1, 1, f"larger than {MAX_BYTES >> 20} MiB; split the file")
-    # UTF-8 text, with or without a byte order mark.
+    # Decode UTF-8 text, with or without a byte order mark.
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise CSVError(path, 1, 1, "UTF-16 text; save the file as UTF-8")
     try:
@@ -396,7 +396,7 @@ def _lines(path: Path) -> list[str]:
         raise CSVError(path, line, column, "not UTF-8 text; save the file as UTF-8") from None
     del data
 
-    # Not too many lines, of not too many characters, none of them a control character.
+    # Check the number and length of lines, and refuse control characters.
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if text.count("\n") > MAX_ROWS:
         raise CSVError(path, MAX_ROWS, 1, f"more than {MAX_ROWS} lines; split the file")

@@ -162,7 +162,7 @@ class Dataset:
         if self.held_out is not None or not ranges:
             raise ValueError(
                 f"dataset {self.name}: "
-                + ("rows are held out already" if ranges else "no column to hold out by")
+                + ("rows are held out already" if ranges else "no columns are given")
                 + "; give columns and ranges once, for example {Fz: [3900, 4100]}"
             )
         inside = np.ones(len(self), dtype=bool)

@@ -317,7 +317,7 @@ def _check_channels(
     if not len(columns) == len(units) == len(headers):
         raise ValueError(
             f"{len(columns)} columns, {len(units)} units and {len(headers)} headers; give one unit "
-            "and one header a column"
+            "and one header per column"
         )
     for channel, unit in zip(columns, units, strict=True):
         if channel not in CHANNELS:

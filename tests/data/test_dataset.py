@@ -105,7 +105,7 @@ def test_rows_are_held_out_by_ranges() -> None:
         ({"Fz": ["a", "b"]}, "two finite numbers"),
         ({"Fz": 2e3}, "two finite numbers"),
         ({"Fy": [1, 2]}, "no column 'Fy'"),
-        ({}, "no column to hold out by"),
+        ({}, "no columns are given"),
     ],
 )
 def test_bad_splits(ranges: dict[str, list[float]], message: str) -> None:
