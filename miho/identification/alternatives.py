@@ -1,4 +1,4 @@
-"""Optima that the data cannot tell apart: together they are one uncertainty."""
+"""Optima that the data cannot distinguish: together they make up the uncertainty."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 GENEROUS = 10.0
-"""Dependent rows widen intervals some 3 times: minima up to so many times further above the best as
-an interval of independent rows allows are worth the derivatives that tell."""
+"""Minima are examined if their excess of squares is at most this multiple of the excess that an
+interval of independent rows allows: dependent rows widen intervals about 3 times."""
 UNFINISHED = 2.0
-"""A search ends a little above its minima: those up to so many times too far above the best are
-descended from."""
+"""A descent starts at minima whose excess is at most this multiple of the allowed excess, because a
+search ends slightly above its minima."""
 REPEATED = 0.1
-"""Optima this close, in standard errors, are one: their intervals are the same."""
+"""Optima closer than this number of standard errors count as one: their intervals are the same."""
 SAME_CURVE = 1e-8
-"""Optima whose residuals differ by less than this share of their sum of squares give the same
-curve: a descent leaves 1e-10. They are one optimum that a symmetry of the model repeats."""
+"""Optima give the same curve if their residuals differ by less than this share of the sum of
+squares; descents leave 1e-10. A symmetry of the model repeats such an optimum."""
 MOST_VALUES = 3
-"""Values of a parameter that a sentence lists; of more it gives the range."""
+"""A sentence lists up to this number of values of a parameter, else their range."""
 MOST_FACTORS = 5
-"""Parameters at most whose products are tried, of 3^5 exponents."""
+"""Largest number of parameters whose products are tried, with 3^5 combinations of exponents."""
 
 
 def optima_within_noise(
@@ -46,30 +46,30 @@ def optima_within_noise(
     level: float = 0.95,
     deadline: Deadline | None = None,
 ) -> tuple[Refit, ...]:
-    """The different optima that are as good as the best within the noise, the best first.
+    """The distinct optima that are as good as the best within the noise, the best first.
 
-    Those are the optima whose sum of squares exceeds the smallest by no more than a profile
-    interval of this `level` allows. Optima that give the same curve count once.
+    The sum of squares of these optima exceeds the smallest one by no more than a profile interval
+    of this `level` allows. Optima that give the same curve count once.
 
     Parameters
     ----------
     problem : CurveFit
         The problem.
     optimum : Refit
-        The best optimum so far, where a descent has ended.
+        The best optimum so far.
     minima : sequence of Minimum
-        Where the descents of a search ended. A descent from each that may be within the noise leads
-        to its optimum, which takes the place of the best one where it is better.
+        The ends of the descents of a search. A new descent from each minimum that may be within
+        the noise leads to its optimum, which replaces the best one if it is better.
     level : float
-        The level of the intervals.
+        Confidence level of the intervals, between 0 and 1.
     deadline : Deadline, optional
-        After it no further minimum is looked at.
+        No further minimum is examined after it.
 
     Returns
     -------
     tuple of Refit
-        At least one. Only the best where the data number events or have no noise, for which there
-        is no likelihood ratio.
+        At least one optimum. Only the best one if the data number events or have no noise, because
+        there is no likelihood ratio then.
     """
     count, known = problem.residual_count, [_Known(problem, optimum)]
     highest = _loosely(problem, optimum, level)
@@ -100,14 +100,14 @@ def optima_within_noise(
 
 
 def minima_at(problem: CurveFit, optima: Sequence[Linearised]) -> tuple[Minimum, ...]:
-    """Where these optima are, with their losses."""
+    """These optima as minima with their losses."""
     losses = [float(problem.loss(at.theta[None])[0]) for at in optima]
     thetas = [tuple(at.theta.tolist()) for at in optima]
     return tuple(Minimum(*each) for each in zip(losses, thetas, strict=True))
 
 
 class _Known:
-    """A known optimum, with its derivatives as soon as they are needed."""
+    """A known optimum, with derivatives that are computed on demand."""
 
     def __init__(self, problem: CurveFit, fit: Refit) -> None:
         self.fit, self._problem = fit, problem
@@ -118,18 +118,18 @@ class _Known:
 
     @property
     def has_derivatives(self) -> bool:
-        """Whether all derivatives are finite, so that it has standard errors."""
+        """Whether all derivatives are finite, so that standard errors exist."""
         return bool(np.isfinite(self._slopes).all())
 
     def is_at(self, theta: Array) -> bool:
-        """Whether parameters (d,) are within REPEATED standard errors of it."""
+        """Whether parameters (d,) are within REPEATED standard errors of the optimum."""
         if np.allclose(theta, self.fit.theta, rtol=SAME_PLACE, atol=0):
             return True
         step = self._slopes @ (theta - self.fit.theta)
         return bool(step @ step <= REPEATED**2 * _roughly(self._problem, self.fit)[0])
 
     def has_curve_of(self, theta: Array) -> bool:
-        """Whether its residuals are those at parameters (d,)."""
+        """Whether the residuals at parameters (d,) are the same as at the optimum."""
         change = self._problem.residuals(theta) - self._problem.residuals(self.fit.theta)
         return bool(change @ change <= SAME_CURVE * self.fit.cost)
 
@@ -143,9 +143,9 @@ def error_variance(problem: CurveFit, at: Linearised) -> float:
 
 
 def excess(problem: CurveFit, at: Linearised, level: float) -> float:
-    """By how much a sum of squares may exceed the smallest within the intervals of a level.
+    """The largest excess of the sum of squares, over the smallest, within intervals of a level.
 
-    Where rows depend on each other, for the parameter that this widens most.
+    If rows depend on each other, the parameter with the widest interval decides.
     """
     reach = at.quantile(level)
     if at.dependence is not None:
@@ -164,7 +164,7 @@ def _roughly(problem: CurveFit, optimum: Refit) -> tuple[float, int]:
 
 
 def _loosely(problem: CurveFit, optimum: Refit, level: float) -> float:
-    """The sum of squares up to which a search's minimum may belong to an optimum within noise."""
+    """The largest sum of squares of a minimum that may belong to an optimum within the noise."""
     variance, freedom = _roughly(problem, optimum)
     reach = float(scipy.special.stdtrit(freedom, (1 + level) / 2))
     return optimum.cost + GENEROUS * reach**2 * variance
@@ -173,8 +173,8 @@ def _loosely(problem: CurveFit, optimum: Refit, level: float) -> float:
 def hull(values: Sequence[Array], intervals: Sequence[Array]) -> Array:
     """The smallest intervals (q, 2) that contain the intervals of several optima, (q, 2) each.
 
-    An optimum without an interval of a quantity, as at a bound, adds its own of the `values`, (q,)
-    each; NaN where none has an interval.
+    An optimum without an interval, for example at a bound, adds its entry of `values`, (q,) each.
+    The result is NaN if no optimum has an interval.
     """
     ends, points = np.array(intervals), np.array(values)
     low, high = np.fmin.reduce(ends[:, :, 0]), np.fmax.reduce(ends[:, :, 1])
@@ -184,10 +184,10 @@ def hull(values: Sequence[Array], intervals: Sequence[Array]) -> Array:
 
 
 def optima_table(problem: CurveFit, optima: Sequence[Linearised]) -> pd.DataFrame:
-    """A row per optimum, the best first; no row where there is only one.
+    """A row per optimum, the best first; no row for a single optimum.
 
-    Columns: `optimum` (from 1), `excess` (by how much chi-squared exceeds the best one's, in units
-    of the errors' variance), the parameters, and the derived quantities of the model.
+    Columns: `optimum` (from 1), `excess` (the sum of squares minus its value at the best optimum,
+    over the error variance), the parameters, and the derived quantities of the model.
     """
     import pandas as pd
 
@@ -199,11 +199,11 @@ def optima_table(problem: CurveFit, optima: Sequence[Linearised]) -> pd.DataFram
 
 
 def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]:
-    """Sentences on the optima that the data cannot tell apart; none where there is only one.
+    """Sentences on optima that the data cannot distinguish; empty for a single optimum.
 
-    They name the parameters whose values differ by more than a standard error, none that the data
-    determine nowhere, and what the optima share: quantities that the model declares, else the
-    shortest product of these parameters.
+    They name the parameters whose values differ by more than a standard error, and the quantities
+    on which the optima agree: derived quantities of the model, else the shortest product of these
+    parameters.
     """
     if len(optima) < 2:
         return []
@@ -240,7 +240,7 @@ def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]
 
 
 def _listed(values: Array) -> str:
-    """Values in words: once if they are alike, the range if they are many."""
+    """The distinct values as text, or their range if there are many."""
     texts = list(dict.fromkeys(f"{value:.4g}" for value in values))
     if len(texts) <= MOST_VALUES:
         return " or ".join(texts)
@@ -250,9 +250,10 @@ def _listed(values: Array) -> str:
 def _compared(
     problem: CurveFit, optima: Sequence[Linearised]
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """The values (k,) of parameters and derived quantities at k optima, and their least error.
+    """Values (k,) of parameters and derived quantities at k optima, and least standard errors.
 
-    The error is 0 where no optimum has one, as at a bound, and infinite where none determines it.
+    An error is 0 if no optimum has one, for example at a bound, and infinite if the data determine
+    the quantity at no optimum.
     """
     each = [reported_uncertainty(problem, at) for at in optima]
     names = reported_space(problem.space).names
@@ -268,9 +269,10 @@ def _compared(
 def _shared_product(
     problem: CurveFit, optima: Sequence[Linearised], several: Collection[str]
 ) -> list[str]:
-    """The name and the values of the shortest product of parameters that the optima share.
+    """The shortest product of parameters on which the optima agree, as name and values.
 
-    Exponents are 1 and -1. Empty where no product of two or more stays within a standard error.
+    Exponents are 1 and -1. Empty if no product of two or more parameters agrees within a standard
+    error.
     """
     each = [reported_uncertainty(problem, at) for at in optima]
     values, names = np.array([at.theta for at in each]), reported_space(problem.space).names
@@ -300,6 +302,6 @@ def _shared_product(
 
 
 def _excesses(problem: CurveFit, optima: Sequence[Linearised]) -> Array:
-    """By how much chi-squared (k,) exceeds that of the first."""
+    """Chi-squared (k,) minus its value at the first optimum."""
     costs = np.array([float(np.sum(problem.residuals(at.theta) ** 2)) for at in optima])
     return np.asarray((costs - costs[0]) / error_variance(problem, optima[0]))

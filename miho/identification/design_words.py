@@ -1,4 +1,4 @@
-"""What to measure next, in words: where the chosen rows lie, what they buy, and what is assumed."""
+"""The text of an experimental design: chosen rows, expected intervals, and assumptions."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from miho.identification.experimental_design import Design
 
 GAP = 0.1
-"""Chosen values that lie apart by more than this fraction of the candidates' range are two
-places."""
+"""Chosen values form two places if they differ by more than this fraction of the range of the
+candidates."""
 MOST_PLACES, MOST_QUANTITIES = 4, 3
-"""As many are named in a sentence."""
+"""The largest numbers of places and quantities that a sentence names."""
 LINEAR = 0.5
-"""A parameter known less well than to this fraction of itself strains the linearised model."""
+"""The linearised model may mislead if a half width exceeds this fraction of the value."""
 KILO = 1000.0
 
 
 def advice(design: Design) -> str:
-    """One or two sentences: which rows would narrow what, and what evenly spread rows would."""
+    """One or two sentences: the intervals that the chosen rows, or evenly spread rows, narrow."""
     table = design.table
     if design.goal:
         subject = table[table["quantity"] == design.goal]
@@ -43,12 +43,15 @@ def advice(design: Design) -> str:
     first = records[0]
     if math.isfinite(first["evenly half width"]):
         even = _half_width(first, "evenly", in_percent=not math.isnan(first["evenly %"]))
-        words += f" As many rows spread evenly over all candidates: {first['quantity']} to {even}."
+        words += (
+            " The same number of rows, spread evenly over all candidates, would narrow "
+            f"{first['quantity']} to {even}."
+        )
     return words
 
 
 def assumptions(design: Design) -> list[str]:
-    """What the numbers rest on, and what these rows would leave open; a sentence each."""
+    """Assumptions of the prediction, and quantities that stay undetermined; a sentence each."""
     report = design.report
     problem, at = report.problem, report.at
     sentences = [
@@ -82,7 +85,7 @@ def assumptions(design: Design) -> list[str]:
 
 
 def table_text(design: Design) -> str:
-    """The table for a terminal."""
+    """The table of a design as text for a terminal."""
     rows = []
     for row in design.table.to_dict("records"):
         cells = {"": row["quantity"], "value": f"{row['value']:.4g}", "unit": row["unit"]}
@@ -96,7 +99,7 @@ def table_text(design: Design) -> str:
 
 
 def _what(design: Design) -> str:
-    """The chosen rows and where they lie."""
+    """The number of chosen rows and their places."""
     inputs = design.report.problem.model.inputs
     varying = {name: unit for name, unit in inputs.items() if np.ptp(design.candidates[name]) > 0}
     places = places_of(design.chosen, design.candidates, varying or dict(inputs))
@@ -116,7 +119,7 @@ def _what(design: Design) -> str:
 def places_of(
     chosen: pd.DataFrame, candidates: pd.DataFrame, inputs: dict[str, str]
 ) -> list[tuple[int, str]]:
-    """Where chosen rows lie: how many and in which ranges of the inputs, the most rows first."""
+    """Number of chosen rows and ranges of the inputs at each place, the most rows first."""
     labels = pd.DataFrame(
         {name: _clusters(chosen[name].to_numpy(), candidates[name].to_numpy()) for name in inputs},
         index=chosen.index,
@@ -129,14 +132,14 @@ def places_of(
 
 
 def _clusters(values: Array, candidates: Array) -> NDArray[np.intp]:
-    """The number of the cluster of each value (n,), in rising order."""
+    """Cluster numbers (n,) of values, in ascending order."""
     levels, index = np.unique(values, return_inverse=True)
     cut = np.diff(levels, prepend=levels[0]) > GAP * np.ptp(candidates)
     return np.asarray(np.cumsum(cut)[index])
 
 
 def range_text(name: str, values: Array, unit: str) -> str:
-    """The range of a column in words, such as "alpha 4 to 7 deg"."""
+    """The range of a column as text, for example "alpha 4 to 7 deg"."""
     low, high = float(values.min()), float(values.max())
     if unit == "rad":
         low, high, unit = math.degrees(low), math.degrees(high), "deg"
@@ -147,7 +150,7 @@ def range_text(name: str, values: Array, unit: str) -> str:
 
 
 def _narrowing(row: dict[Hashable, Any]) -> str:
-    """A quantity with its half widths before and after, in % where both are a part of it."""
+    """A quantity with its half widths before and after, in % if the value allows it."""
     name = row["quantity"]
     if math.isinf(row["expected half width"]):
         return f"{name} not at all"
@@ -174,7 +177,7 @@ def _two_digits(value: float) -> str:
 
 
 def _undetermined(design: Design) -> list[str]:
-    """Sentences on what present data leave open: for these rows, for others, or for good."""
+    """Sentences on undetermined quantities: these rows, other candidates or none determine them."""
     table, none = design.table, design.undeterminable
     names = list(table["quantity"])
     now, after = (
@@ -194,21 +197,21 @@ def _undetermined(design: Design) -> list[str]:
         )
     if left:
         sentences.append(
-            f"these rows would not determine {', '.join(left)}; others of the candidates would: "
-            "choose more rows, or some for that goal."
+            f"these rows would not determine {', '.join(left)}, but other candidates would: choose "
+            "more rows, or rows for that goal."
         )
     if none:
         inputs = ", ".join(design.report.problem.model.inputs)
         sentences.append(
-            f"no candidate determines {', '.join(none)}: even with all of them, every prediction "
-            f"can stay as it is while they change. Add candidates with other values of {inputs}, "
-            "or fix a parameter."
+            f"no candidate determines {', '.join(none)}: even with all candidates, they can change "
+            f"without changing any prediction. Add candidates with other values of {inputs}, or "
+            "fix a parameter."
         )
     return sentences
 
 
 def _not_noise(report: Report) -> list[str]:
-    """A sentence if the errors follow a column, which more rows do not average out."""
+    """A sentence if the errors follow a column: more rows do not average such errors out."""
     trends = report.trends.to_dict("records")
     strongest = max(trends, key=lambda row: row["explained"])
     if not is_finding(strongest["explained"], strongest["p"]):
@@ -218,7 +221,7 @@ def _not_noise(report: Report) -> list[str]:
     if in_a_sweep(report.problem, name):
         drift = OR_DRIFT.format(name=name)
         return [f"{share}: the model does not allow for it, {drift} before you take more rows."]
-    return [f"{share}: that is no noise, and a model that allows for it comes before more rows."]
+    return [f"{share}: this part is not noise. Improve the model before you take more rows."]
 
 
 def _beyond(design: Design) -> list[str]:
@@ -231,7 +234,6 @@ def _beyond(design: Design) -> list[str]:
         if outside.any():
             sentences.append(
                 f"{np.count_nonzero(outside):,} of the rows lie beyond the data, which have "
-                f"{range_text(name, data, unit)}: nobody has seen yet whether the model holds "
-                "there."
+                f"{range_text(name, data, unit)}: they do not show whether the model holds there."
             )
     return sentences

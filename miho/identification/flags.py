@@ -1,4 +1,4 @@
-"""Warnings on how to read the numbers of a report, in sentences."""
+"""Remarks of a report: sentences that warn when its numbers need care."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
@@ -25,29 +25,31 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 CORRELATED = 0.9
-"""Parameters whose correlation reaches this are hard to tell apart."""
+"""Parameters whose absolute correlation reaches this are hard to distinguish."""
 LOPSIDED = 0.2
-"""A profile's end this far from the linearised one, as a fraction of the half width, is noted."""
+"""A profile end is mentioned if it differs from the linearised end by this share of the half
+width."""
 UNEVEN = 0.1
-"""A sandwich standard error this far from the usual one, as a fraction of it, is noted."""
+"""A sandwich standard error is mentioned if it differs from the usual one by this share of it."""
 FEWEST_FREE = 4
-"""Degrees of freedom of rows that depend on each other below which intervals may be too narrow."""
+"""With fewer degrees of freedom, intervals of dependent rows may be too narrow."""
 SURPRISING = 5e-4
-"""A sum of squares that a sigma taken as known gives this rarely, on either side, is mentioned."""
+"""A sum of squares is mentioned if a known sigma gives one as extreme with a smaller probability,
+on either side."""
 CHANCE = 0.01
-"""Uneven spread is mentioned if chance makes it this rarely."""
+"""Uneven spread is mentioned if chance produces it with at most this probability."""
 OUTLIERS = 0.7
-"""A robust loss that takes this fraction of the rows for outliers has too small a scale."""
+"""The scale of a robust loss is too small if it treats this fraction of the rows as outliers."""
 NEAR_OPTIMUM = 0.1
-"""A run that stopped within this many standard errors of the optimum has found it."""
+"""A run has found the optimum if it stopped within this many standard errors of it."""
 NOTICEABLE = 1e-4
-"""A fraction of the error that a run's result may lack without a remark."""
+"""A relative difference between the errors of run and optimum up to this is not mentioned."""
 ANOTHER = 10.0
-"""A run that ended this many standard errors away was hardly at the same optimum."""
+"""A run that ended more standard errors away was probably at another optimum."""
 
 
 def doubtful(doubt: str, remedy: str) -> list[str]:
-    """Sentences on an optimum in doubt: why, and what to do."""
+    """Sentences on an optimum in doubt: the reason, and a remedy."""
     return [
         f"the optimum is in doubt: {doubt}. Values, standard errors and intervals describe this "
         "local optimum only; they do not judge the data or the model.",
@@ -56,7 +58,7 @@ def doubtful(doubt: str, remedy: str) -> list[str]:
 
 
 def ended_at_bounds(at: Linearised, space: Space) -> list[str]:
-    """Sentences on parameters at a bound where the optimum is in doubt."""
+    """Sentences on parameters at a bound, for an optimum in doubt."""
     return [
         f"the search ended at the {end} bound of {name}, {bound}: {name} is fixed there and has no "
         "standard error, and the other standard errors are too small."
@@ -73,9 +75,10 @@ def held_quantities(names: Sequence[str]) -> list[str]:
 
 
 def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> str:
-    """A doubt about an optimum where a parameter has no effect that has one elsewhere in the box.
+    """The doubt about an optimum at which parameters lost the effect that they have elsewhere.
 
-    Empty if there is no such parameter; `everywhere` (d,) marks those that never have an effect.
+    Empty if there is no such parameter. `everywhere` (d,) marks the parameters without an effect
+    anywhere in the box.
     """
     names = [space.names[i] for i in np.flatnonzero(at.unidentifiable & ~everywhere)]
     if not names:
@@ -87,7 +90,7 @@ def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> 
 
 
 def identifiability(at: Linearised, space: Space) -> list[str]:
-    """Sentences on bounds, directions the data do not see, and entangled parameters."""
+    """Sentences on active bounds, unidentifiable parameters and strong correlations."""
     return held_at_bounds(at, space) + unseen(at, space) + entangled(at, space)
 
 
@@ -102,9 +105,9 @@ def held_at_bounds(at: Linearised, space: Space) -> list[str]:
 
 
 def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
-    """A sentence on parameters that can change while all predictions stay as they are.
+    """A sentence on parameters that can change without changing any prediction.
 
-    `everywhere` if the same would be so at any other configuration.
+    `everywhere` says that this holds at any configuration, not only at this optimum.
     """
     sentences, names = [], space.names
     free = [names[i] for i in np.flatnonzero(at.unidentifiable)]
@@ -120,7 +123,7 @@ def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
 
 
 def entangled(at: Linearised, space: Space) -> list[str]:
-    """Sentences on parameters that are hard to tell apart."""
+    """Sentences on strongly correlated parameters."""
     sentences, names = [], space.names
     for members in _entangled(at.correlation):
         block = at.correlation[np.ix_(members, members)]
@@ -154,9 +157,10 @@ def too_few(problem: CurveFit) -> list[str]:
 def maybe_zero(
     at: Linearised, space: Space, profiles: Sequence[Profile | None], level: float
 ) -> list[str]:
-    """Sentences on parameters whose interval contains 0, by profile where there is one.
+    """Sentences on parameters whose interval contains 0; profile intervals take precedence.
 
-    Nothing is said of a 0 outside the box, or beyond what a profile with an open end has tried.
+    A 0 outside the box, or beyond the range that a profile with an open end has tried, gives no
+    sentence.
     """
     sentences = []
     for p, error, ends, curve in zip(
@@ -172,7 +176,7 @@ def maybe_zero(
 
 
 def wrong_signs(quantities: pd.DataFrame, signs: Mapping[str, int]) -> list[str]:
-    """A sentence on quantities, as in a report's `derived`, that lack the sign of every tire."""
+    """A sentence on rows of `Report.derived` whose sign differs from the sign of every tire."""
     wrong = []
     for row in quantities.to_dict("records"):
         if signs.get(row["quantity"], 0) * row["value"] < 0:
@@ -191,7 +195,7 @@ def wrong_signs(quantities: pd.DataFrame, signs: Mapping[str, int]) -> list[str]
 def profile_shapes(
     linearised: Array, space: Space, profiles: Sequence[Profile | None]
 ) -> list[str]:
-    """Sentences on parameters that the data do not bound, and on lopsided intervals (d, 2)."""
+    """Sentences on open profile intervals, and on profiles unlike `linearised` (d, 2) intervals."""
     sentences = []
     for p, (low, high), curve in zip(space.parameters, linearised, profiles, strict=True):
         if curve is None:
@@ -220,14 +224,14 @@ def profile_shapes(
 
 
 def spread_is_uneven(problem: CurveFit, at: Linearised) -> bool:
-    """Whether the errors' spread changes along the data, and a standard error with it."""
+    """Whether the spread of the errors changes along the data enough to change a standard error."""
     ratios = _sandwich_ratios(at)
     changed = bool((np.abs(ratios - 1) > UNEVEN).any())
     return changed and _chance_of_spread(problem, at) <= CHANCE
 
 
 def uneven_spread(at: Linearised, space: Space) -> list[str]:
-    """A sentence on an uneven spread: for which parameters intervals are too wide or too narrow."""
+    """A sentence on the intervals that are too wide or too narrow because of an uneven spread."""
     ratios, sentences = _sandwich_ratios(at), []
     for kind, off in (("wide", ratios < 1 - UNEVEN), ("narrow", ratios > 1 + UNEVEN)):
         those = [f"{space.names[i]} (times {ratios[i]:.2f})" for i in np.flatnonzero(off)]
@@ -241,14 +245,14 @@ def uneven_spread(at: Linearised, space: Space) -> list[str]:
 
 
 def _sandwich_ratios(at: Linearised) -> Array:
-    """Standard errors by the sandwich as a fraction of the usual ones, (d,); NaN without these."""
+    """Ratios (d,) of sandwich to usual standard errors; NaN without a usual one."""
     errors = at.standard_errors
     usable = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
     return np.asarray(np.sqrt(np.diag(at.sandwich)) / usable)
 
 
 def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
-    """How often even errors would look as uneven (White 1980, without cross products)."""
+    """P value of the test for an even spread (White 1980, without cross products)."""
     errors = problem.errors(at.theta)
     if at.dependence is not None:
         errors = at.dependence.model.innovations(errors)
@@ -264,7 +268,7 @@ def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
 
 
 def independence(problem: CurveFit, at: Linearised) -> list[str]:
-    """A sentence if rows are not independent: they belong to events, or neighbours are alike."""
+    """Sentences on rows that are not independent: rows of events, or correlated neighbours."""
     if at.events:
         return [
             "rows of one event are not independent: standard errors, intervals and the bootstrap "
@@ -288,7 +292,7 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
 
 
 def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
-    """How alike neighbours are, and how much wider intervals of parameters along `axes` (n, d)."""
+    """A sentence on correlated neighbours, and the widening of intervals along `axes` (n, d)."""
     wider = at.reach(axes) / at.independent.reach(axes)
     factors = list(dict.fromkeys(f"{factor:.1f}" for factor in np.sort(wider)[[0, -1]]))
     sentence = (
@@ -306,7 +310,10 @@ def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
 
 
 def followed(problem: CurveFit, trends: pd.DataFrame) -> list[str]:
-    """Sentences on columns that the errors follow: a wrong shape, a missing input, or noise."""
+    """Sentences on columns that the errors follow.
+
+    The cause is a wrong shape of the model, a missing input, or correlated noise.
+    """
     sentences = []
     for row in trends.to_dict("records"):
         if not is_finding(row["explained"], row["p of independent rows"]):
@@ -331,7 +338,7 @@ def followed(problem: CurveFit, trends: pd.DataFrame) -> list[str]:
 
 
 def outliers(problem: CurveFit, at: Linearised) -> list[str]:
-    """A sentence if a robust loss takes most rows for outliers."""
+    """A sentence if a robust loss treats most rows as outliers."""
     rho = problem.rho
     if not isinstance(rho, Huber | Cauchy):
         return []
@@ -347,7 +354,7 @@ def outliers(problem: CurveFit, at: Linearised) -> list[str]:
 
 
 def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[str]:
-    """A remark if the run's own result (d,) is not the optimum that the report is of.
+    """A sentence if the result (d,) of the run is not the optimum that the report describes.
 
     `gain` is the fraction by which the error falls from the run to the optimum.
     """
@@ -365,7 +372,7 @@ def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[s
 
 
 def _entangled(correlation: Array) -> list[list[int]]:
-    """Groups of parameters that strong correlations connect, in the order of the parameters."""
+    """Groups of parameters connected by strong correlations, in the order of the parameters."""
     strong = np.abs(np.nan_to_num(correlation)) >= CORRELATED
     count, label = scipy.sparse.csgraph.connected_components(strong, directed=False)
     groups = [np.flatnonzero(label == group).tolist() for group in range(count)]
@@ -377,7 +384,7 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def sigma_disagrees(problem: CurveFit, at: Linearised) -> list[str]:
-    """Whether the errors are larger or smaller than sigma, if that is known, says they are."""
+    """A sentence if the errors contradict a known sigma."""
     if not at.noise_known:
         return []
     squares = float(np.sum(problem.errors(at.theta) ** 2)) / at.noise**2

@@ -1,9 +1,9 @@
-"""Comparing models on the same data: information criteria, and F-tests where one contains another.
+"""Comparing models on the same data: information criteria, and F-tests of nested models.
 
-Criteria are those of normal errors of one unknown variance, which counts as a parameter (Burnham
-and Anderson, Model Selection and Multimodel Inference, 2nd ed. 2002, Ch. 2 and 6.4), so that they
-agree with R's `AIC` and `BIC`; the F-test is that of Bates and Watts (Nonlinear Regression
-Analysis, 1988, Ch. 3.10).
+Criteria assume normal errors. An unknown variance counts as a parameter (Burnham and Anderson,
+Model Selection and Multimodel Inference, 2nd ed. 2002, Ch. 2 and 6.4), so the criteria agree with
+`AIC` and `BIC` of R. The F-test follows Bates and Watts (Nonlinear Regression Analysis, 1988,
+Ch. 3.10).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import independence
@@ -25,18 +25,24 @@ from miho.identification.report import Report, rounding_of
 from miho.quantities import Array
 
 REPRODUCED = 1e-6
-"""A model contains another if it follows the other's curve to this fraction of the sum of squares
-of its own errors."""
+"""A model contains another if it follows the curve of the other up to this fraction of the sum of
+squares of the errors."""
 EVALUATIONS = 2000
 LITTLE, NONE = 2.0, 10.0
-"""Differences of AICc up to which a model has substantial support, and from which on hardly any
-(Burnham and Anderson 2002, p. 70)."""
+"""A model has substantial support up to the first difference of AICc, and hardly any from the
+second one (Burnham and Anderson 2002, p. 70)."""
 SIGNIFICANT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class ModelComparison:
-    """Several reports on the same rows; tables and sentences are functions of them."""
+    """A comparison of models that were fitted to the same rows; `compare_models` makes it.
+
+    Parameters
+    ----------
+    reports : tuple of Report
+        The reports of the fits. All tables and remarks are functions of them.
+    """
 
     reports: tuple[Report, ...]
 
@@ -44,9 +50,9 @@ class ModelComparison:
     def table(self) -> pd.DataFrame:
         """A row per model, the smallest AICc first.
 
-        Free parameters, the sum of squared errors, its residual standard deviation in the output's
-        unit, AIC, AICc, BIC, the difference of AICc to the smallest, and Akaike's weight: how
-        probable it is that this is the best of the models for further data.
+        Columns: model, free parameters, sum of squared errors, residual standard deviation (in the
+        unit of the output), AIC, AICc, BIC, difference of AICc from the smallest, and Akaike
+        weight: the probability that this model is the best of all for further data.
         """
         rows = []
         for report in self.reports:
@@ -75,9 +81,9 @@ class ModelComparison:
 
     @cached_property
     def tests(self) -> pd.DataFrame:
-        """An F-test for each pair of which one model contains the other, its curve being the same.
+        """An F-test for each pair of nested models.
 
-        `p` is how often noise alone would make the larger model as much better.
+        `p` is the probability that noise alone improves the larger model by as much.
         """
         columns = ["smaller", "larger", "F", "more", "freedom", "p"]
         rows = []
@@ -95,7 +101,7 @@ class ModelComparison:
 
     @cached_property
     def notes(self) -> list[str]:
-        """Which model is preferred and by how much, and where not to rely on it."""
+        """Remarks on the preferred model and its margin, and on limits of the comparison."""
         sentences = [_preferred(self.table), *_by_bic(self.table)]
         for row in self.tests.to_dict("records"):
             verdict = "is worth" if row["p"] < SIGNIFICANT else "is not shown to be worth"
@@ -112,29 +118,29 @@ class ModelComparison:
             name = report.problem.name
             if report.standing.doubt:
                 sentences.append(
-                    f"the optimum of {name} is in doubt ({report.standing.doubt}): a better one "
-                    "would change its rank."
+                    f"the optimum of {name} is in doubt ({report.standing.doubt}): a better "
+                    "optimum would change its rank."
                 )
             if report.at.at_bound.any() or len(report.at.null_directions):
                 sentences.append(
-                    f"of {name} only the parameters that the data determine are counted, and none "
-                    "at a bound; criteria and tests are rough then."
+                    f"{name} has parameters that are at a bound or that the data do not determine. "
+                    "They are not counted, so its criteria and tests are approximate."
                 )
         best = next(r for r in self.reports if r.problem.name == self.table["model"].iloc[0])
         if independence(best.problem, best.at):
             sentences.append(
-                f"the errors of {best.problem.name} depend on each other, so that the rows say "
-                "less than their number: all differences are too large, and p too small. Do not "
-                "choose by them."
+                f"the errors of {best.problem.name} depend on each other, so the rows carry less "
+                "information than independent rows would: all differences are too large, and p is "
+                "too small. Do not choose by them."
             )
         sentences.append(
-            "criteria rank these models, and do not say that the best of them is right: its report "
-            "does."
+            "criteria only rank these models: read in its report whether the best of them is "
+            "adequate."
         )
         return sentences
 
     def __str__(self) -> str:
-        """Tables and sentences."""
+        """Tables and remarks as text."""
         parts = [self.table.to_string(index=False, float_format="%.5g")]
         if len(self.tests):
             parts.append(self.tests.to_string(index=False, float_format="%.3g"))
@@ -142,13 +148,31 @@ class ModelComparison:
 
 
 def compare_models(*reports: Report) -> ModelComparison:
-    """The comparison of models that were fitted to the same rows by the square loss.
+    """Compare models that were fitted to the same rows with the square loss.
 
-    Raises ValueError if there are less than two, if data, losses or names do not allow it, or if a
-    model reproduces the data exactly.
+    Parameters
+    ----------
+    *reports : Report
+        At least two reports on the same rows of the same output.
+
+    Returns
+    -------
+    ModelComparison
+        Information criteria, F-tests of nested models, and remarks. Printing shows all of them.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two reports, if two have the same name, if rows, sigma or losses
+        differ or do not allow the comparison, or if a model reproduces the data exactly.
+
+    References
+    ----------
+    Burnham and Anderson, Model Selection and Multimodel Inference, 2nd ed. 2002, Ch. 2 and 6.4.
+    Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 3.10.
     """
     if len(reports) < 2:
-        raise ValueError(f"{len(reports)} report to compare; give at least two")
+        raise ValueError(f"compare_models: expected at least two reports, got {len(reports)}")
     names = [report.problem.name for report in reports]
     for name in names:
         if names.count(name) > 1:
@@ -161,7 +185,7 @@ def compare_models(*reports: Report) -> ModelComparison:
 
 
 def _check_same_data(first: Report, second: Report) -> None:
-    """Raise ValueError unless both are of the same rows of the same output."""
+    """Raise ValueError unless both fits used the same rows of the same output."""
     left, right = first.problem.dataset, second.problem.dataset
     same = left.output == right.output and first.problem.unit == second.problem.unit
     if not same or not np.array_equal(left[left.output], right[right.output]):
@@ -173,14 +197,14 @@ def _check_same_data(first: Report, second: Report) -> None:
 
 
 def _check_same_sigma(first: Report, second: Report) -> None:
-    """Raise ValueError unless both take the errors of the rows for the same."""
+    """Raise ValueError unless both fits used the same sigma."""
     left, right = first.problem, second.problem
     same = (left.sigma is None) == (right.sigma is None) and left.sigma_known == right.sigma_known
     if same and left.sigma is not None and right.sigma is not None:
         same = left.scale == right.scale and np.array_equal(_weights(left), _weights(right))
     if not same:
         raise ValueError(
-            f"{left.name} and {right.name} have different sigma; compare models with the same"
+            f"{left.name} and {right.name} have different sigma; compare fits with the same sigma"
         )
 
 
@@ -189,12 +213,12 @@ def _weights(problem: CurveFit) -> Array:
 
 
 def _check_comparable(report: Report) -> None:
-    """Raise ValueError where criteria are none: another loss, no noise, or too few rows."""
+    """Raise ValueError for another loss, data without noise, or too few rows."""
     problem, k = report.problem, free_parameters(report)
     if not isinstance(problem.rho, Square):
         raise ValueError(
-            f"{problem.name} has the loss {type(problem.rho).__name__}; criteria and tests are "
-            "those of Square"
+            f"{problem.name} has the loss {type(problem.rho).__name__}; expected Square, for which "
+            "criteria and tests are defined"
         )
     if report.error <= rounding_of(problem):
         raise ValueError(
@@ -202,22 +226,22 @@ def _check_comparable(report: Report) -> None:
         )
     if len(problem.dataset) <= k + 2:
         raise ValueError(
-            f"{problem.name}: {len(problem.dataset)} rows for {k} parameters; a comparison needs "
-            "at least three more"
+            f"{problem.name}: {len(problem.dataset)} rows for {k} parameters; expected at least "
+            f"{k + 3} rows"
         )
 
 
 def free_parameters(report: Report) -> int:
-    """Parameters that the fit had free: none at a bound, none that the data do not determine."""
+    """Number of parameters that are not at a bound and that the data determine."""
     at = report.at
     return int((~at.at_bound).sum()) - len(at.null_directions)
 
 
 def contains(large: Report, small: Report) -> bool:
-    """Whether the larger model can follow the smaller one's fitted curve exactly, in its space.
+    """Whether the larger model can follow the fitted curve of the smaller one within its space.
 
-    It is fitted to that curve: from its own optimum, and from the smaller one's parameters of the
-    same names with the others as they are or at 0.
+    It is fitted to that curve from its optimum, and from the smaller model's values of the
+    parameters that both have, with the others at the optimum or at 0.
     """
     problem, theta = large.problem, large.at.theta
     curve = small.problem.model.predict(small.at.theta[None], *small.problem.inputs)[0]
@@ -246,13 +270,13 @@ def _preferred(table: pd.DataFrame) -> str:
     difference = float(table["difference"].iloc[1])
     if difference <= LITTLE:
         return (
-            f"{best} has the smallest AICc, but {second} is only {difference:.2g} behind: the data "
-            "hardly tell them apart."
+            f"{best} has the smallest AICc, but the AICc of {second} is only {difference:.2g} "
+            "larger: the data hardly distinguish them."
         )
     support = "considerably less support" if difference < NONE else "hardly any support"
     return (
-        f"{best} is preferred: {second}, the next by AICc, is {difference:.3g} behind, which "
-        f"leaves it {support}."
+        f"{best} is preferred: {second}, the next by AICc, has an AICc {difference:.3g} larger and "
+        f"{support}."
     )
 
 
@@ -263,5 +287,5 @@ def _by_bic(table: pd.DataFrame) -> list[str]:
         return []
     gap = float(table["BIC"].iloc[0] - ranked["BIC"].iloc[0])
     return [
-        f"by BIC, which asks more of each parameter, it is {ranked['model'].iloc[0]}, by {gap:.2g}."
+        f"BIC, which penalises parameters more, prefers {ranked['model'].iloc[0]} by {gap:.2g}."
     ]

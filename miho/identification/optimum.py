@@ -1,4 +1,4 @@
-"""The one statement on an optimum of a problem, which all outputs make."""
+"""The statement on an optimum of a problem, which all outputs share."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from miho.optim.zero import is_rounding, is_zero
 from miho.quantities import Array
 
 LINEAR = 1e-9
-"""The loss of a linear problem's optimum is known to this share."""
+"""Relative accuracy of the optimal loss of a linear problem."""
 PROFILE, BOOTSTRAP, CHECK = "a profile", "the bootstrap", "a check"
 """The steps after a search that may find a better optimum."""
 TRIALS = 10
-"""Configurations at which a parameter without effect is tried again."""
+"""Number of configurations at which a parameter without an effect is tried again."""
 
 
 def standing_of(
@@ -68,7 +68,7 @@ def standing_of(
     """
     loss, rounding = float(problem.loss(theta[None])[0]), problem.resolution
     before = loss if np.array_equal(run, theta) else float(problem.loss(run[None])[0])
-    # What is known of a problem decides alone.
+    # Knowledge of the problem decides alone.
     exact = linear_optimum(problem)
     if exact is not None:
         if loss <= exact[1] * (1 + LINEAR) + rounding:
@@ -115,7 +115,7 @@ def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
 
 
 def _with(stand: Standing, *objections: str) -> Standing:
-    """A standing with reasons to doubt the optimum, which then has no other evidence."""
+    """A standing with further reasons to doubt the optimum."""
     if not objections:
         return stand
     doubt = "; ".join(filter(None, [stand.doubt, *objections]))
@@ -125,7 +125,7 @@ def _with(stand: Standing, *objections: str) -> Standing:
 def _by_descents(
     problem: CurveFit, theta: Array, loss: float, searches: Sequence[Descents]
 ) -> Standing:
-    """What descents say of the optimum and, where they do not suffice, the scatter of the data."""
+    """The standing by the descents and, if they do not suffice, by the scatter of the data."""
     stand = standing(loss, problem.resolution, searches)
     if not stand.doubt:
         return stand
@@ -135,7 +135,7 @@ def _by_descents(
 
 
 def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
-    """Where the search had ended, whose result has the loss `before`."""
+    """A clause on the errors at which the search, whose result has the loss `before`, ended."""
     ends = [end for search in searches for end in search.ends]
     error = f"{math.sqrt(min(ends, default=before)):.5g} {unit}".rstrip()
     if not ends:
@@ -148,7 +148,7 @@ def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
 
 
 def _step(before: float, after: float) -> str:
-    """From which error to which, in digits that tell them apart."""
+    """The errors of two losses, with enough digits to differ."""
     first, last = math.sqrt(before), math.sqrt(after)
     digits = 3
     while digits < 12 and f"{first:.{digits}g}" == f"{last:.{digits}g}":
@@ -157,10 +157,10 @@ def _step(before: float, after: float) -> str:
 
 
 def _never_identifiable(problem: CurveFit) -> NDArray[np.bool_]:
-    """Which parameters (d,) are unidentifiable at all of some configurations across the box.
+    """Marks (d,) of parameters that are unidentifiable at all of TRIALS configurations in the box.
 
-    The rank of the derivatives is the same almost everywhere for a smooth model, so such a
-    parameter cannot be identified from these inputs.
+    The rank of the derivatives is the same almost everywhere for a smooth model, so these inputs
+    cannot identify such a parameter.
     """
     never = np.ones(len(problem.space), dtype=bool)
     for theta in problem.space.decode(problem.space.initial(TRIALS)):

@@ -1,4 +1,4 @@
-"""The report of an identification: the optimum, how far to trust it, and where it holds."""
+"""The report of an identification: the optimum, its uncertainty, and remarks on both."""
 
 from __future__ import annotations
 
@@ -65,17 +65,17 @@ HEDGE = (
     "these remarks on data and model hold for this optimum, and may not hold if every search "
     "missed a better one."
 )
-"""Starts are the best of a screen, so a narrow basin can be missed by all of them."""
+"""The starting points are the best of a screen, so all of them can miss a narrow basin."""
 BIASED = (
     "with several optima the estimates are biased, so bootstrap intervals, which assume unbiased "
     "estimates, may be too narrow: use the profile intervals."
 )
-"""Measured: they held the truth in 64 to 98 % where profile intervals did in 96 to 100 %
+"""Measured coverage: 64 to 98 % for bootstrap intervals, 96 to 100 % for profile intervals
 (`experiments.check.coverage --curvature`)."""
 SUSPICIOUS = 2.0
-"""An error this many times the upper end of the irreducible one is mentioned."""
+"""An error is mentioned if it exceeds the upper end of the irreducible error by this factor."""
 ROUNDING = 1e-12
-"""Errors below this fraction of the output are rounding, which follows no law and no profile."""
+"""Errors below this fraction of the output are rounding, to which no statistics apply."""
 REMEDY = "search from more starts, or in a narrower or logarithmic box."
 
 
@@ -83,15 +83,44 @@ REMEDY = "search from more starts, or in a narrower or logarithmic box."
 class Report:
     """The results of one identification; every table is a function of these fields.
 
-    All is of one point, the optimum that a descent from the run's result led to: `at` is its
-    uncertainty, `standing` the evidence that it is the best. `others` are the uncertainties of
-    further optima that the data cannot tell apart from it, which intervals span. `run` (d,) are the
-    run's own parameters. `profiles` are one per parameter (None where there is none),
-    `tied_profiles` those of tied ones by name, `replicates` (n, d) the bootstrap's estimates,
-    `left_out` the errors on groups of rows that a fit was made without. `omitted` says in sentences
-    what there was no time for, `remedy` what to do where the optimum is in doubt. `searches` are
-    the descents of the run, and of a check; `best_known` is the loss of the optimum where it is
-    known. `moving` and `found_by` are those of `standing_of`.
+    A report describes one optimum, to which a descent from the result of the run led. `make_report`
+    makes it. `print(report)` shows the parameters, the error and all remarks.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The identified problem.
+    run : ndarray of shape (d,)
+        The parameters with which the run ended.
+    at : Linearised
+        The optimum and its uncertainty.
+    standing : Standing
+        The evidence that the optimum is the best one, or the reason to doubt it.
+    profiles : tuple of Profile or None
+        A profile likelihood per parameter; None if there is none.
+    replicates : ndarray of shape (n, d), optional
+        Estimates of the bootstrap.
+    left_out : DataFrame
+        Errors on groups of rows, each from a fit without the group.
+    level : float
+        Confidence level of all intervals, between 0 and 1.
+    omitted : tuple of str
+        Sentences on results that the time limit excluded.
+    remedy : str
+        Advice if the optimum is in doubt.
+    searches : tuple of Descents
+        The descents of the run, and of a check of the run.
+    best_known : float, optional
+        Loss of the best optimum, if linear algebra or a record knows it.
+    tied_profiles : mapping of str to Profile
+        Profile likelihoods of tied parameters by name.
+    moving : int
+        Evaluations after which the descent to the optimum was still improving; 0 if it converged.
+    found_by : str
+        The step after the search that found this optimum; empty if the search found it.
+    others : tuple of Linearised
+        Further optima that the data cannot distinguish from `at`, with their uncertainties. All
+        intervals cover them.
     """
 
     problem: CurveFit
@@ -113,26 +142,26 @@ class Report:
 
     @cached_property
     def space(self) -> Space:
-        """The parameters that the report is of: those that shares stand for in place of these."""
+        """The reported parameters: constrained parameters replace the free shares in them."""
         return reported_space(self.problem.space)
 
     @cached_property
     def reported(self) -> Linearised:
-        """Their uncertainty."""
+        """The uncertainty of the reported parameters."""
         return reported_uncertainty(self.problem, self.at)
 
     @cached_property
     def optima(self) -> pd.DataFrame:
-        """A row per optimum that the data cannot tell apart, no row where there is only one.
+        """A row per optimum that the data cannot distinguish; no row for a single optimum.
 
-        Columns: optimum (from 1), excess (of chi-squared above the best), parameters and derived
-        quantities.
+        Columns: optimum (from 1), excess (chi-squared minus its value at the best optimum),
+        parameters and derived quantities.
         """
         return optima_table(self.problem, (self.at, *self.others))
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter: value, unit, standard error and intervals; the run's own value."""
+        """A row per parameter: value, unit, standard errors, the value of the run, intervals."""
         at = self.reported
         frame = pd.DataFrame(
             {
@@ -165,7 +194,7 @@ class Report:
 
     @cached_property
     def correlation(self) -> pd.DataFrame:
-        """Correlation of the estimates, parameters by parameters."""
+        """Correlation matrix of the estimates, with parameter names on both axes."""
         names = list(self.space.names)
         return pd.DataFrame(self.reported.correlation, index=names, columns=names)
 
@@ -178,7 +207,7 @@ class Report:
         """A row per derived quantity: value, unit, standard error and intervals."""
         rows = []
         for quantity in self._quantities:
-            if quantity.tied in self.space.names:  # which is told of as a parameter
+            if quantity.tied in self.space.names:  # listed among the parameters
                 continue
             value, error = delta_method(quantity, self.at)
             slope = gradient(quantity, self.at)[None]
@@ -209,14 +238,18 @@ class Report:
 
     @cached_property
     def priors(self) -> pd.DataFrame:
-        """A row per prior: what it says, and how much of what is known it gives."""
+        """A row per prior: its mean and deviation, and the share of information that it supplies.
+
+        `prior_table` documents the columns.
+        """
         return prior_table(self.problem, self.at)
 
     @cached_property
     def errors(self) -> pd.DataFrame:
-        """Errors in the output's unit, on the training rows, on held-out ones and irreducible.
+        """Root-mean-square errors in the unit of the output.
 
-        Root mean squares; of the irreducible error its interval, `low` to `high`.
+        Rows: training rows, residual standard deviation, held-out rows, groups of rows left out of
+        the fit, and the irreducible error with its interval from `low` to `high`.
         """
         problem, dataset = self.problem, self.problem.dataset
         rows: list[tuple[str, int, float, float, float]] = []
@@ -245,11 +278,10 @@ class Report:
 
     @cached_property
     def descents(self) -> pd.DataFrame:
-        """A row per descent that came to an end, the best first.
+        """A row per finished descent, the best first.
 
-        Columns: descent (from 1), error (root of the loss, in the output's unit), and whether it
-        ended here, in this optimum. Of very many descents of a run the best only, as `Descents`
-        keeps them.
+        Columns: descent (from 1), error (root of the loss, in the unit of the output), and whether
+        the descent ended in the reported optimum. `Descents` keeps only the best of very many.
         """
         problem = self.problem
         ends = sorted(end for search in self.searches for end in search.ends)
@@ -260,34 +292,34 @@ class Report:
 
     @cached_property
     def error(self) -> float:
-        """Root-mean-square error of the optimum on its rows, in the output's unit."""
+        """Root-mean-square error of the optimum on the training rows, in the unit of the output."""
         return root_mean_square(self.problem.errors(self.at.theta))
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of the residuals: rows less parameters that are not at a bound."""
+        """Degrees of freedom of the residuals: rows minus parameters that are not at a bound."""
         return len(self.problem.dataset) - int((~self.at.at_bound).sum())
 
     @property
     def residual_standard_deviation(self) -> float:
-        """Root of the sum of squared errors by the degrees of freedom, in the output's unit."""
+        """Square root of the sum of squared errors over `freedom`, in the unit of the output."""
         return self.error * math.sqrt(len(self.problem.dataset) / self.freedom)
 
     @cached_property
     def irreducible(self) -> Irreducible:
-        """Estimate of the error no curve in the same single input can beat; NaN for more inputs."""
+        """Estimate of the error that no curve in the single input can beat; NaN for more inputs."""
         return irreducible_of(self.problem)
 
     @cached_property
     def trends(self) -> pd.DataFrame:
-        """How much of the errors' variance each input and condition explains, a row for each."""
+        """A row per input and condition: the share of the error variance that it explains."""
         return residual_trends(self.problem, self.at.theta, self.at)
 
     @cached_property
     def notes(self) -> list[str]:
-        """Warnings on how to read the numbers, a sentence each; empty if there are none.
+        """Remarks on the numbers, a sentence each.
 
-        Where the optimum is in doubt they are of the search only, not of data or model.
+        If the optimum is in doubt, they concern the search only, not the data or the model.
         """
         before, after = (
             root_mean_square(self.problem.residuals(theta)) for theta in (self.run, self.at.theta)
@@ -311,9 +343,9 @@ class Report:
 
     @cached_property
     def uneven(self) -> bool:
-        """Whether the errors' spread changes along the data, beyond chance, and intervals with it.
+        """Whether the spread of the errors changes significantly along the data.
 
-        The sandwich's standard errors and intervals are those that allow for it.
+        Sandwich standard errors and intervals allow for that.
         """
         known = self.at.noise > rounding_of(self.problem)
         return known and spread_is_uneven(self.problem, self.reported)
@@ -325,7 +357,7 @@ class Report:
     def _remarks_on_data_and_model(self) -> list[str]:
         at, space = self.reported, self.space
 
-        # The parameters: whether the data determine them, and how well.
+        # Parameters: do the data determine them, and how well?
         sentences = identifiability(at, space) + too_few(self.problem)
         if self.at.noise <= rounding_of(self.problem):
             return [*sentences, "every row is reproduced to rounding: the data have no error."]
@@ -333,14 +365,14 @@ class Report:
         ends = self.parameters[["linearised low", "linearised high"]].to_numpy()
         sentences += profile_shapes(ends, space, self.profiles)
         sentences += wrong_signs(self.derived, {q.name: q.sign for q in self._quantities})
-        # The errors: whether standard errors may be computed from them as they are.
+        # Errors: do the assumptions of the standard errors hold?
         sentences += uneven_spread(at, space) if self.uneven else []
         sentences += sigma_disagrees(self.problem, self.at)
         sentences += prior_notes(self.priors)
         sentences += [f"{text}." for text in at_limits(self.problem, self.at.theta)]
         sentences += independence(self.problem, at)
         sentences += outliers(self.problem, self.at)
-        # The model: whether it computes well, its errors are larger than noise or follow a column.
+        # Model: are its errors larger than the noise, or do they follow a column?
         sentences += self.problem.model.remarks(self.at.theta, self.at.noise, *self.problem.inputs)
         error, irreducible = self.error, self.irreducible
         if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < error:
@@ -351,16 +383,25 @@ class Report:
         return sentences + followed(self.problem, self.trends)
 
     def _percentiles(self, replicates: Array, gradients: Array) -> Array:
-        """Ends (q, 2) for replicates (n, q) of quantities with gradients (q, d)."""
+        """Interval ends (q, 2) from replicates (n, q) of quantities with gradients (q, d)."""
         if self.at.dependence is not None:
             return percentiles(replicates, self.at.quantiles(gradients, self.level))
         units = self.at.events or len(self.problem.dataset)
         return percentile_intervals(replicates, units, self.at.freedom, self.level)
 
     def band(self, *inputs: Array) -> tuple[Array, Array]:
-        """Prediction at input columns (N,) and the half width of its interval, (N,) each.
+        """Prediction with the half width of its interval.
 
-        The interval is of the curve, not of new measurements.
+        Parameters
+        ----------
+        *inputs : ndarray of shape (N,)
+            The input columns, in the order and units of the model.
+
+        Returns
+        -------
+        prediction, half_width : ndarray of shape (N,)
+            In the unit of the output. The interval has the level of the report and is an interval
+            of the curve, not of new measurements.
         """
         model = self.problem.model
         return (
@@ -369,12 +410,12 @@ class Report:
         )
 
     def __repr__(self) -> str:
-        """One line: of which problem, with which error."""
+        """One line with problem, parameters and error."""
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
         return f"<Report of {self.problem.name}: {', '.join(self.space.names)}; {error}>"
 
     def __str__(self) -> str:
-        """The parameters with their best intervals, the error, and what the numbers mean."""
+        """The parameters with their best intervals, the error, and the remarks."""
         kinds = ("profile", "bootstrap", "linearised")
         kind = next(kind for kind in kinds if f"{kind} low" in self.parameters)
         columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
@@ -385,13 +426,13 @@ class Report:
             index=False, float_format="%.5g", formatters=formatters
         )
         lines = [f"error: {self.error:.5g} {self.problem.unit}".rstrip()]
-        if not self.standing.doubt:  # else the notes begin with it
+        if not self.standing.doubt:  # a doubt is the first note
             lines.append(self.standing.statement)
         return "\n\n".join([table, "\n".join([*lines, *(f"- {note}" for note in self.notes)])])
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables by name, those that have rows."""
+        """The tables that have rows, by name."""
         tables = {
             "parameters": self.parameters,
             "optima": self.optima,
@@ -407,19 +448,19 @@ class Report:
 
 
 def _end(value: float) -> str:
-    """An end of a profile interval, which is open where the profile came to the edge of the box."""
+    """The text of a profile end; "open" if the profile reached the bound without an end."""
     return "open" if math.isinf(value) else f"{value:.5g}"
 
 
 def rounding_of(problem: CurveFit) -> float:
-    """Errors up to this, in the output's unit, are rounding."""
+    """The largest error, in the unit of the output, that counts as rounding."""
     return ROUNDING * root_mean_square(problem.dataset[problem.dataset.output])
 
 
 def irreducible_of(problem: CurveFit) -> Irreducible:
-    """Estimate of the error no curve in the same single input can beat.
+    """Estimate of the error that no curve in the single input can beat.
 
-    NaN for more inputs, and for rows of different weights, whose neighbours do not scatter alike.
+    NaN for several inputs, and for rows of different weights: their neighbours scatter differently.
     """
     if len(problem.inputs) != 1 or problem.weights is not None:
         return Irreducible(math.nan, math.nan, math.nan)

@@ -1,4 +1,4 @@
-"""From the parameters that a run ended with to their report, step by step."""
+"""The steps from the result of a run to its report."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ from miho.parallel.process_executor import WorkerLostError
 from miho.quantities import Array
 
 MOST_PROFILES = 10
-"""Models with more parameters are profiled only if asked: each end costs several refits."""
+"""Models with more parameters are profiled only on request: each end costs several refits."""
 EVALUATIONS = 5000
-"""Evaluations at most of the descent to the optimum that the report is of."""
+"""Largest number of evaluations of the descent to the reported optimum."""
 REFITS = 4
-"""Refits that a side of a profile takes at least."""
+"""Smallest number of refits that a side of a profile needs."""
 SECONDS = 60.0
-"""Time limit, by default, of all that a report computes without being asked for it."""
+"""Default time limit, in seconds, of the results that a report computes by default."""
 
 
 def make_report(
@@ -75,38 +75,77 @@ def make_report(
     progress: Callable[[str], object] = lambda stage: None,
     workers: Workers = None,
 ) -> Report:
-    """The report on the optimum near `run` (d,), the parameters that a run of a problem ended with.
+    """Report the optimum near the result of a run.
 
-    `descents` says where those of the run ended, `check` those of a check, and the report is of the
-    optimum near its result `better` (d,) if that is better. `optimum` (d,) is where a descent from
-    the run's result has led already, `moving` after how many evaluations it was still moving, 0 if
-    it came to its end, `found_by` the later step that led there, if one did; `best_known` is the
-    loss of a recorded optimum. Where profiles or replicates meet a better
-    optimum the report is of that one, and says so. Minima of the descents that the data cannot tell
-    apart from the best are reported with it, and further `minima`: intervals span all of them.
+    If a profile or the bootstrap finds a better optimum, the report describes that one and says
+    so. If the data cannot distinguish further minima from the optimum, the report includes them,
+    and all intervals cover them.
 
-    `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`, in
-    blocks where rows depend on their neighbours; `profiles` by default for models of up to
-    MOST_PROFILES parameters, none for data in events. What is computed by default ends after
-    `seconds`; `Report.omitted` lists what is missing then. What is asked for (replicates,
-    profiles) takes the time it takes. `progress` is called before each of many steps
-    with the name of the stage. `workers`, those of `miho.fit`, share profiles, replicates and
-    refits without some rows where these take long; the report is the same. Raises ValueError where
-    there is no uncertainty to be had: fewer rows than parameters, or derivatives not finite.
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem of the run.
+    run : ndarray of shape (d,)
+        The parameters with which the run ended.
+    descents, check : Descents, optional
+        The ends of the descents of the run, and of a check of the run.
+    better : ndarray of shape (d,), optional
+        The result of the check. The report describes the optimum near it if that is better.
+    optimum : ndarray of shape (d,), optional
+        The end of an earlier descent from `run`, which is not repeated then.
+    moving : int, optional
+        Evaluations after which the descent to `optimum` was still improving; 0 if it converged.
+    found_by : str, optional
+        The step after the search that found `optimum`; empty if the search found it.
+    minima : sequence of Minimum, optional
+        Further minima to compare with the optimum.
+    best_known : float, optional
+        Loss of a recorded optimum.
+    replicates : int, optional
+        Number of bootstrap estimates: 0 for none, 1000 for intervals. Dependent rows are drawn in
+        blocks.
+    profiles : bool, optional
+        Whether to compute profile likelihoods. By default for up to MOST_PROFILES parameters;
+        never for data in events.
+    level : float, optional
+        Confidence level of all intervals, between 0 and 1.
+    seed : int, optional
+        Seed of the bootstrap.
+    seconds : float, optional
+        Time limit of the results that are computed by default. `Report.omitted` lists the results
+        that are missing then. Profiles and replicates that are requested have no limit.
+    remedy : str, optional
+        Advice if the optimum is in doubt.
+    progress : callable, optional
+        Called with the name of the stage before each step.
+    workers : optional
+        Workers as in `miho.fit`, which share expensive profiles, replicates and refits. The report
+        is the same.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    ValueError
+        If there are fewer rows than parameters, or derivatives are not finite, so that there are no
+        standard errors; if `level` is not between 0 and 1; or if a problem with priors has
+        `replicates`.
     """
     if not 0 < level < 1:
-        raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
+        raise ValueError(f"level is {level!r}; expected a number between 0 and 1, for example 0.95")
     if replicates and problem.prior is not None:
         raise ValueError(
-            f"replicates is {replicates}: rows drawn anew say nothing of priors; leave the "
-            "bootstrap out, profile intervals allow for them"
+            f"replicates is {replicates}; expected 0 for a problem with priors, which resampled "
+            "rows ignore; use profile intervals instead"
         )
-    # The optimum first: profiles may find a better one, and all else is said of it.
+    # The optimum comes first, because every other result describes it.
     deadline = Deadline(time.perf_counter() + seconds)
     progress("optimum")
     descent = _optimum(problem, run if optimum is None else optimum, deadline)
     if optimum is not None and deadline.over and not descent.converged:
-        # What the earlier descent came to counts.
+        # Without time for a new descent, the state of the earlier one counts.
         descent = descent._replace(converged=not moving, evaluations=moving)
     best = _Best(descent, found_by)
     if better is not None:
@@ -118,7 +157,7 @@ def make_report(
         while True:
             best, optima, curves, omitted = _profiled(problem, best, minima, level, profiles, work)
             at = optima[0]
-            # What time was left for besides.
+            # Fits without some rows, and the bootstrap, use the time that is left.
             left_out, unfinished = _left_out(problem, at, work)
             estimates = (
                 _bootstrapped(problem, optima, replicates, seed, work) if replicates else None
@@ -161,13 +200,13 @@ def make_report(
 
 @dataclass(frozen=True)
 class _Best:
-    """The best optimum so far, and the step after the search that has found it, if one has."""
+    """The best optimum so far, and the step that found it if the search did not."""
 
     descent: Refit
     found_by: str = ""
 
     def or_better(self, problem: CurveFit, other: Refit, found_by: str) -> _Best:
-        """The other one if it is another, better optimum."""
+        """The better of the two; `self` if both are the same optimum."""
         rounding = problem.resolution * problem.residual_count
         same = in_optimum(other.cost, self.descent.cost, rounding)
         return self if same else _Best(other, found_by)
@@ -175,7 +214,7 @@ class _Best:
 
 @dataclass(frozen=True)
 class _Work:
-    """Until when steps may go on, whom they tell of it, who does them, and why one is left out."""
+    """What all steps share: the deadline, the progress callback, the pool, and a late remark."""
 
     deadline: Deadline
     progress: Callable[[str], object]
@@ -191,9 +230,9 @@ def _profiled(
     requested: bool | None,
     work: _Work,
 ) -> tuple[_Best, tuple[Linearised, ...], dict[str, Profile], list[str]]:
-    """The optimum, the uncertainty of all within the noise, and what `_profiles` gives.
+    """The best optimum, the uncertainties of all optima within the noise, profiles, and remarks.
 
-    Where a refit for a profile meets a better optimum, all is again from there.
+    If a refit of a profile finds a better optimum, everything is computed again from there.
     """
     while True:
         within = optima_within_noise(problem, best.descent, minima, level, work.deadline)
@@ -212,9 +251,9 @@ def _profiled(
 def _best_of_replicates(
     problem: CurveFit, best: _Best, estimates: Array | None, deadline: Deadline
 ) -> _Best:
-    """The best optimum so far, or the one near the best of the replicates (n, d) if it is better.
+    """The best optimum so far, or a better one near the best of the replicates (n, d).
 
-    A replicate is the optimum of other data: it may lie in a basin of these that is lower.
+    A replicate is the optimum of resampled data and may lie in a lower basin of the data.
     """
     if estimates is None:
         return best
@@ -226,16 +265,16 @@ def _best_of_replicates(
 
 
 def _held(at: Linearised) -> list[int]:
-    """The parameters that no refit to other data moves: the data do not see them."""
+    """The unidentifiable parameters, which refits keep fixed."""
     return np.flatnonzero(at.unidentifiable).tolist()
 
 
 def _bootstrapped(
     problem: CurveFit, optima: Sequence[Linearised], replicates: int, seed: int, work: _Work
 ) -> Array:
-    """Estimates (replicates, d) from rows drawn anew, in blocks where they depend on each other.
+    """Estimates (replicates, d) from resampled rows; dependent rows are resampled in blocks.
 
-    They are stretched about one optimum, but not where they scatter about several.
+    Estimates of dependent rows are stretched if there is a single optimum.
     """
     at = optima[0]
     rng = stream("bootstrap", problem.dataset.digest, seed)
@@ -250,7 +289,7 @@ def _bootstrapped(
 
 
 def _left_out(problem: CurveFit, at: Linearised, work: _Work) -> tuple[pd.DataFrame, list[str]]:
-    """Errors on each group of rows that a fit was made without, and what is missing and why."""
+    """Errors on groups of rows, each from a fit without the group, and remarks on missing ones."""
     tables: list[pd.DataFrame] = []
     omitted: list[str] = []
     for condition in conditions(problem):
@@ -271,9 +310,9 @@ def _stacked(tables: list[pd.DataFrame]) -> pd.DataFrame:
 
 
 def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
-    """That of the optimum (d,), for rows that may depend on their neighbours.
+    """The uncertainty of an optimum (d,), allowing for correlated neighbouring rows.
 
-    Errors that are rounding are as alike as the rounding is, which tells nothing.
+    Rounding errors may be correlated too, so the correlation is ignored if all errors are rounding.
     """
     neighbours = root_mean_square(problem.errors(theta)) > rounding_of(problem)
     return linearised(problem, theta, neighbours)
@@ -286,10 +325,10 @@ def _profiles(
     requested: bool | None,
     work: _Work,
 ) -> tuple[dict[str, Profile], list[str]]:
-    """The profiles that there are by parameter, and a sentence on those that are missing.
+    """The profiles by parameter, and remarks on missing ones.
 
-    Of a parameter at its bound, or not identifiable, at all optima there is none; nor where rows
-    are not independent, which a profile takes them for, or where the errors are rounding.
+    Parameters that are at a bound or unidentifiable at all optima have no profile. There are no
+    profiles for data in events, or if the errors are rounding.
     """
     curves: dict[str, Profile] = {}
     at, *others = optima
@@ -323,7 +362,7 @@ def _profiles_by_workers(
     limit: Deadline | None,
     work: _Work,
 ) -> tuple[dict[str, Profile], list[str]]:
-    """The same, each side of each profile by itself."""
+    """The result of `_profiles` from workers; each side of each profile is one task."""
     check = (lambda: None) if limit is None else limit.check
     at, *others = optima
     sides = in_blocks(
@@ -355,7 +394,7 @@ def _profiles_by_workers(
 
 
 def _profiled_parameters(problem: CurveFit, at: Linearised) -> dict[str, int | str]:
-    """The parameters that have a finite standard error, then the tied ones: position, or name."""
+    """Position or name of the parameters with a finite standard error, the tied ones last."""
     free, reported = problem.space.names, reported_space(problem.space).names
     errors = reported_uncertainty(problem, at).standard_errors
     usable = np.flatnonzero(np.isfinite(errors) & (errors > 0)).tolist()
@@ -370,9 +409,9 @@ def _profiled_parameters(problem: CurveFit, at: Linearised) -> dict[str, int | s
 
 
 def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:
-    """The optimum near `start` (d,), or how far the deadline let the descent come.
+    """The optimum near `start` (d,), or the point that the descent reached before the deadline.
 
-    Parameters without effect at the start are held, so that they keep the run's value.
+    Parameters without an effect at the start are fixed, so they keep the value of the run.
     """
     derivatives = problem.jacobian(problem.space.clip(start))
     ineffective = np.flatnonzero(~derivatives.any(axis=0)).tolist()
@@ -380,13 +419,13 @@ def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:
 
 
 def _omission(seconds: float) -> str:
-    """The end of a sentence on results that there was no time for."""
+    """The end of a sentence on results that the time limit excluded."""
     return (
-        f"are left out: there were {seconds:g} s for such refits (--seconds {10 * seconds:g} gives "
-        "more)."
+        f"are left out: the time limit of {seconds:g} s is over (--seconds {10 * seconds:g} raises "
+        "it)."
     )
 
 
 def _lost(error: WorkerLostError) -> str:
-    """The end of a sentence on results that a worker did not come to."""
+    """The end of a sentence on results of a lost worker."""
     return f"are left out: their worker was lost ({error})."

@@ -1,4 +1,4 @@
-"""The parameters of a model as a user stated them: free, fixed and tied ones."""
+"""The parameters of a model as the user stated them: free, fixed and tied."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from miho.quantities import Array
 
 FREE = "free"
 NEAR = 1e-6
-"""A tied parameter this close to a limit, as a share of it or of its range, is at the limit."""
+"""A tied parameter is at a limit if it is this close, as a share of the limit or of its range."""
 
 
 class Stated(NamedTuple):
-    """One parameter with its value, unit and standard error; `held` is FREE, or the reason why not.
+    """One parameter with its value, unit, standard error, and the reason if it is not free.
 
-    It is "fixed", the expression that it is tied to, at its bound, or not identifiable.
-    The error is 0 for a fixed one, NaN for one at its bound, infinite for one that the data do not
-    determine.
+    `held` is "free", "fixed", "= EXPRESSION", "at lower bound", "at upper bound" or "not
+    identifiable". The standard error is 0 for a fixed parameter, NaN at a bound, and infinite if
+    the data do not determine the parameter.
     """
 
     name: str
@@ -35,12 +35,12 @@ class Stated(NamedTuple):
 
 
 def reported_space(space: Space) -> Space:
-    """The parameters that results are told of: those that shares stand for in place of these."""
+    """The space of reported parameters: constrained parameters replace the shares in them."""
     return replace(space, parameters=tuple(p.stands_for or p for p in space.parameters))
 
 
 def reported_values(problem: CurveFit, thetas: Array) -> Array:
-    """Those parameters (n, d) at free ones (n, d)."""
+    """Values (n, d) of the reported parameters at free parameters (n, d)."""
     swapped, model = _swapped(problem.space), problem.model
     if not isinstance(model, Tied) or not swapped:
         return thetas
@@ -51,7 +51,7 @@ def reported_values(problem: CurveFit, thetas: Array) -> Array:
 
 
 def reported_slopes(problem: CurveFit, theta: Array) -> Array:
-    """Their derivatives (d, d) with respect to the free ones (d,)."""
+    """Derivatives (d, d) of the reported parameters with respect to the free ones (d,)."""
     swapped, slopes = _swapped(problem.space), np.eye(theta.size)
     if swapped:
         slopes[list(swapped)] = tied_slopes(problem, theta, list(swapped.values()))
@@ -59,7 +59,7 @@ def reported_slopes(problem: CurveFit, theta: Array) -> Array:
 
 
 def reported_uncertainty(problem: CurveFit, at: Linearised) -> Linearised:
-    """The uncertainty of those parameters."""
+    """The uncertainty of the reported parameters."""
     places = list(_swapped(problem.space))
     if not places:
         return at
@@ -72,7 +72,7 @@ def reported_uncertainty(problem: CurveFit, at: Linearised) -> Linearised:
 
 
 def tied_names(problem: CurveFit) -> list[str]:
-    """The tied parameters and quantities that no share stands for."""
+    """The tied parameters and quantities that have no share."""
     model = problem.model
     if not isinstance(model, Tied):
         return []
@@ -91,15 +91,15 @@ def tied_slopes(problem: CurveFit, theta: Array, names: Sequence[str]) -> Array:
 
 
 def _swapped(space: Space) -> dict[int, str]:
-    """The positions of shares, and the names of what they stand for."""
+    """Positions of the shares, and names of the parameters that they determine."""
     return {k: p.stands_for.name for k, p in enumerate(space.parameters) if p.stands_for}
 
 
 def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], Array]:
-    """The model's parameters, quantities, then those of the space only, and the derivatives of all
-    of them with respect to the free ones, (d, f), to first order in which errors propagate.
+    """All parameters as stated, and their derivatives (d, f) with respect to the free ones.
 
-    Shares are left out; what they stand for is free.
+    Parameters of the model come first, then quantities, then parameters of the space only. Shares
+    are omitted, and the parameters that they determine count as free.
     """
     model = problem.model
     units = {parameter.name: parameter.unit for parameter in problem.space.parameters}
@@ -131,7 +131,7 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
 
 
 def _held(at: Linearised, space: Space) -> dict[str, str]:
-    """What holds each parameter of a space: nothing, or it is FREE but in name."""
+    """The state of each parameter of a space: FREE, at a bound, or not identifiable."""
     held = dict.fromkeys(space.names, FREE)
     held |= {space.names[k]: "not identifiable" for k in np.flatnonzero(at.unidentifiable)}
     return held | {name: f"at {end} bound" for name, end, _ in parameters_at_bounds(at, space)}
@@ -140,8 +140,8 @@ def _held(at: Linearised, space: Space) -> dict[str, str]:
 def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
     """The parameters without a finite standard error, each with its value and the reason.
 
-    Such as "b = 1e+06 1/s (at its upper bound)" and "c = 3.2 (± not determined)". `at` is the
-    uncertainty of the optimum `theta` (d,), None where there is none.
+    For example "b = 1e+06 1/s (at its upper bound)" and "c = 3.2 (± not determined)". `at` is the
+    uncertainty of the optimum `theta` (d,), or None.
     """
     space = reported_space(problem.space)
     values = reported_values(problem, theta[None])[0]
@@ -167,7 +167,7 @@ def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
 
 
 def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
-    """Values of all parameters by name, those of the model first, at free ones (f,)."""
+    """Values of all parameters by name at free ones (f,), the parameters of the model first."""
     model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
     if not isinstance(model, Tied):
         return free

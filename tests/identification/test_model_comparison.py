@@ -169,12 +169,12 @@ def test_models_are_nested_if_one_can_follow_the_other() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("one", "1 report to compare; give at least two"),
+        ("one", "expected at least two reports, got 1"),
         ("name", "two reports are called 'line'; give one CurveFit another label"),
         ("data", "line and other are fits of different data .y in 50 rows of data, y in 49 of"),
-        ("loss", "other has the loss Huber; criteria and tests are those of Square"),
+        ("loss", "other has the loss Huber; expected Square, for which criteria"),
         ("exact", "other reproduces every row to rounding"),
-        ("few", "other: 4 rows for 2 parameters; a comparison needs at least three more"),
+        ("few", "other: 4 rows for 2 parameters; expected at least 5 rows"),
     ],
 )
 def test_bad_input(change: str, message: str) -> None:
