@@ -1,4 +1,4 @@
-"""The posterior distribution of the parameters by Markov chains, where it is asked for."""
+"""The posterior distribution of the parameters by Markov chains, on request."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from miho.validate import whole
 
 WALKERS, WALKERS_PER_PARAMETER = 32, 4
 FEWEST_WALKERS = 8
-"""A move takes up to three others, of the half that stays."""
+"""A move needs up to three other walkers, from the half that does not move."""
 STEPS = 50_000
 ENOUGH = 50.0
-"""Autocorrelation times after which a chain is long enough, as emcee's documentation advises."""
+"""A chain is long enough after this many autocorrelation times, as the manual of emcee advises."""
 FIRST_LOOK, FEWEST_STEPS = 500, 10
 BURN_IN = 2
-"""Autocorrelation times that are dropped: walkers begin as the optimum's covariance says."""
+"""Autocorrelation times that are dropped: walkers begin with the covariance of the optimum."""
 KEPT = 10_000
-"""Samples that are kept at most; every half an autocorrelation time there is a new one."""
+"""Largest number of stored samples, which are at least half an autocorrelation time apart."""
 MOST_NUMBERS = 20_000_000
-"""No more are kept of the likelihoods of rows, 160 MB."""
+"""Largest number of stored likelihoods of rows, 160 MB."""
 SPREAD, HALVINGS = 0.1, 50
-"""Walkers spread over this share of the box along what the data do not determine; those that begin
-where there is no value are moved halfway to the optimum and beyond it so many times at most."""
+"""Initial spread of walkers, as a share of the box, along directions that the data do not
+determine; and largest number of steps that move walkers without a value towards the optimum."""
 SECONDS = 2.0
-"""After which progress is shown."""
+"""Seconds before the first line of progress."""
 SIGMA = "sigma"
 PACKAGES = ("arviz", "emcee", "numpy", "scipy")
 
@@ -46,36 +46,66 @@ PACKAGES = ("arviz", "emcee", "numpy", "scipy")
 def sample_posterior(
     problem: CurveFit, theta: Array, steps: int = STEPS, seed: int = 0, walkers: int | None = None
 ) -> Any:
-    """The posterior of a problem with the square loss, from its optimum `theta` (d,) on.
+    """Sample the posterior distribution of the parameters of a problem with the square loss.
 
-    An ArviZ object (`InferenceData`, from ArviZ 1 on a `DataTree`) with the groups posterior (free
-    and tied parameters, quantities, sigma where it is not known, of rows of weight 1), sample_stats
-    (`lp`), log_likelihood of the rows, and observed_data; its attributes say how it came about, in
-    `notes` also what limits it. Needs the extra `posterior`.
+    Errors are normal and independent. An unknown sigma is integrated out under the Jeffreys prior
+    1/sigma [1]_ and then drawn given the parameters. Parameters have their priors; the others are
+    uniform within their bounds, in their logarithm on a logarithmic scale, as far as constraints
+    allow. Dependent rows count as fewer rows, so that no standard error is smaller than the one of
+    `linearised`.
 
-    Errors are normal and independent. A sigma that is not known is integrated out under Jeffreys'
-    prior 1/sigma (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, Ch. 2.7) and then
-    drawn given the parameters. Parameters have their priors, and are uniform within their bounds,
-    in their logarithm on a logarithmic scale, as far as constraints leave them. Rows that depend on
-    each other count as fewer: as many as make no standard error smaller than that of `linearised`.
+    An ensemble of walkers moves along differences between other walkers [2]_, by emcee. Sampling
+    ends after 50 autocorrelation times, after `steps`, or with Ctrl-C, which keeps the samples so
+    far. It needs the extra `posterior`.
 
-    An ensemble of `walkers`, moved along differences of others (ter Braak and Vrugt, Statistics
-    and Computing 18, 2008, by emcee), takes `steps` at most; it ends earlier after ENOUGH
-    autocorrelation times, and with Ctrl-C, which keeps what there is. Raises ValueError for another
-    loss, and ImportError without the extra.
+    Parameters
+    ----------
+    problem : CurveFit
+        A problem with the loss `Square`.
+    theta : ndarray of shape (d,)
+        Its optimum, about which the walkers begin.
+    steps : int, optional
+        Largest number of steps of each walker, at least 10.
+    seed : int, optional
+        Seed of all random numbers.
+    walkers : int, optional
+        Number of walkers, at least 8 and 2 d; by default 32 or 4 d, whichever is larger.
+
+    Returns
+    -------
+    arviz.InferenceData or xarray.DataTree
+        An `InferenceData` before ArviZ 1, a `DataTree` since. Groups: posterior (free and tied
+        parameters, quantities, and an unknown sigma for rows of weight 1), sample_stats (`lp`),
+        log_likelihood of the rows, and observed_data. The attributes describe the run; `notes`
+        lists limits of the result.
+
+    Raises
+    ------
+    ValueError
+        If the loss is not `Square`, if the model reproduces the data to rounding and sigma is
+        unknown, or if the model has hardly any finite value near the optimum.
+    ImportError
+        Without the extra `posterior`.
+
+    References
+    ----------
+    .. [1] Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, Ch. 2.7.
+    .. [2] ter Braak and Vrugt, Differential Evolution Markov Chain with snooker updater and fewer
+       chains, Statistics and Computing 18, 2008.
     """
-    # Refuse first what cannot be sampled; dependent rows widen the likelihood.
+    # Check the problem first; dependent rows widen the likelihood.
     emcee, arviz = _libraries()
     at = linearised(problem, theta, neighbours=True)
     density = _Density(problem, 1 / _widening(problem, at) ** 2)
     whole("steps", steps, FEWEST_STEPS)
     if density.sigma is None and float(problem.loss(theta[None])[0]) <= problem.rounding:
         raise ValueError(
-            f"{problem.name}: the data are met to rounding, which tells no sigma; give sigma"
+            f"{problem.name}: the model reproduces the data to rounding, so they do not determine "
+            "sigma; give sigma"
         )
     walkers = max(WALKERS, WALKERS_PER_PARAMETER * theta.size) if walkers is None else walkers
     whole("walkers", walkers, max(FEWEST_WALKERS, 2 * theta.size))
-    # emcee draws from a state of its own, all else from `rng`.
+    # emcee has a separate random state; all other random numbers come from `rng`.
     rng = np.random.default_rng(seed)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, theta.size, density, moves=moves, vectorize=True)
@@ -86,9 +116,9 @@ def sample_posterior(
 
 @dataclass(frozen=True)
 class _Density:
-    """The logarithm of the posterior density at search coordinates (n, d), but for a constant.
+    """Logarithm of the posterior density at search coordinates (n, d), up to a constant.
 
-    `share` is how many independent rows one row tells as much as.
+    `share` is the number of independent rows with the information of one row, at most 1.
     """
 
     problem: CurveFit
@@ -97,18 +127,19 @@ class _Density:
     def __post_init__(self) -> None:
         if not isinstance(self.problem.rho, Square):
             raise ValueError(
-                f"{self.problem.name}: a posterior needs the likelihood of normal errors; the loss "
-                f"is {type(self.problem.rho).__name__}, fit with Square"
+                f"{self.problem.name}: expected the loss Square, got "
+                f"{type(self.problem.rho).__name__}; a posterior needs the likelihood of normal "
+                "errors, so fit with Square"
             )
 
     @property
     def sigma(self) -> float | None:
-        """The standard deviation of the errors, weighted as the problem's; None if not known."""
+        """The standard deviation of the weighted errors; None if it is unknown."""
         return self.problem.scale if self.problem.sigma_known else None
 
     @property
     def rows(self) -> float:
-        """How many independent rows the data count as, a share of the degrees of freedom."""
+        """The number of independent rows with the information of the data."""
         d = len(self.problem.space)
         return self.share * (len(self.problem.dataset) - d) + d
 
@@ -124,13 +155,13 @@ class _Density:
             else:
                 logarithms = -self.share / 2 * squares / self.sigma**2
             logarithms += _log_volumes(self.problem, thetas)
-        if self.problem.prior is not None:  # which counts the same whatever the rows tell
+        if self.problem.prior is not None:  # dependence of rows does not change its weight
             logarithms -= np.sum(self.problem.prior.deviations(thetas) ** 2, axis=1) / 2
         values[inside] = np.where(np.isfinite(logarithms), logarithms, -math.inf)
         return values
 
     def squares(self, thetas: Array) -> Array:
-        """Sums of the rows' squared residuals (n,); NaN where the model has no value."""
+        """Sums of squared residuals of the rows, (n,), without priors; NaN without a value."""
         prior = self.problem.prior
         try:
             squares = self.problem.loss(thetas) * self.problem.residual_count
@@ -144,10 +175,11 @@ class _Density:
 
 
 def _log_volumes(problem: CurveFit, thetas: Array) -> Array:
-    """Logarithms (n,) of the room that shares of constraints stand for, but for a constant.
+    """Logarithms (n,) of the volume that a unit of the shares of constraints covers.
 
-    What is uniform in the shares has the density 1 / |det| of the derivatives with respect to them,
-    which makes up for it: so the set that the constraints leave is filled evenly.
+    A uniform density of the shares would give parameters the density 1 / |det| of the derivatives
+    with respect to the shares. Multiplied by |det|, the density is uniform in the parameters. A
+    constant is omitted.
     """
     logarithms, model = np.zeros(len(thetas)), problem.model
     shares = [(k, p.stands_for) for k, p in enumerate(problem.space.parameters) if p.stands_for]
@@ -163,7 +195,7 @@ def _log_volumes(problem: CurveFit, thetas: Array) -> Array:
 
 
 def _widening(problem: CurveFit, at: Linearised) -> float:
-    """How many times larger a standard error is, at most, than for independent rows."""
+    """The largest ratio of a standard error to its value for independent rows."""
     if at.dependence is None and not at.events:
         return 1.0
     free = ~at.at_bound
@@ -176,7 +208,7 @@ def _widening(problem: CurveFit, at: Linearised) -> float:
 
 
 def _walkers(density: _Density, at: Linearised, count: int, rng: np.random.Generator) -> Array:
-    """Search coordinates (n, d) spread about the optimum as its covariance says, within the box."""
+    """Search coordinates (n, d) from the normal distribution of the optimum, within the box."""
     space = density.problem.space
     low, high = space.bounds
     width, centre = high - low, space.encode(at.theta)
@@ -185,7 +217,7 @@ def _walkers(density: _Density, at: Linearised, count: int, rng: np.random.Gener
     loose = np.where(np.isfinite(at.standard_errors), np.finfo(float).eps, SPREAD) * width
     size, axes = np.linalg.eigh(at.covariance * np.outer(stretch, stretch) + np.diag(loose**2))
     draws = rng.standard_normal((count, at.theta.size)) * np.sqrt(np.maximum(size, 0.0))
-    turns = (centre + draws @ axes.T - low) % (2 * width)  # what leaves the box is reflected
+    turns = (centre + draws @ axes.T - low) % (2 * width)  # reflect draws outside the box
     coordinates = low + np.minimum(turns, 2 * width - turns)
     for _ in range(HALVINGS):
         outside = ~np.isfinite(density(coordinates))
@@ -193,13 +225,13 @@ def _walkers(density: _Density, at: Linearised, count: int, rng: np.random.Gener
             return np.asarray(coordinates)
         coordinates[outside] = (3 * centre - coordinates[outside]) / 2
     raise ValueError(
-        f"{density.problem.name}: the model has hardly a value beside the optimum, so there is no "
-        "posterior to sample"
+        f"{density.problem.name}: the model has hardly any finite value near the optimum, so its "
+        "posterior cannot be sampled; widen the bounds or correct the model"
     )
 
 
 def _run(sampler: Any, start: Array, steps: int) -> str:
-    """Sample until it is enough; why it ended: "enough", "steps" or "interrupted"."""
+    """Sample, and return the reason for the end: "enough", "steps" or "interrupted"."""
     look, times, progress = min(FIRST_LOOK, steps), 0.0, _Progress()
     state: Any = start
     try:
@@ -220,14 +252,14 @@ def _run(sampler: Any, start: Array, steps: int) -> str:
 
 
 class _Progress:
-    """A line on the standard error every two seconds: the same on a terminal, else ever rarer."""
+    """A line on stderr every two seconds, or at growing intervals if it is not a terminal."""
 
     def __init__(self) -> None:
         self._terminal, self._shown = sys.stderr.isatty(), False
         self._pause, self._next = SECONDS, time.monotonic() + SECONDS
 
     def show(self, step: int, times: float) -> None:
-        """Say how far it is, if it is time to."""
+        """Write the line if it is due."""
         if time.monotonic() < self._next:
             return
         line = f"posterior: step {step:,}, {times:.0f} of {ENOUGH:.0f} autocorrelation times"
@@ -238,7 +270,7 @@ class _Progress:
         self._next = time.monotonic() + self._pause
 
     def end(self) -> None:
-        """Leave the line as it is."""
+        """End the line on a terminal."""
         if self._shown and self._terminal:
             sys.stderr.write("\n")
 
@@ -252,10 +284,10 @@ def _autocorrelation(sampler: Any) -> float:
 def _result(
     arviz: Any, density: _Density, sampler: Any, ended: str, seed: int, rng: np.random.Generator
 ) -> Any:
-    """The ArviZ object of what was sampled."""
+    """The ArviZ object with all samples."""
     problem, tau = density.problem, _autocorrelation(sampler)
     steps = sampler.iteration
-    # Without the burn-in, and thinned to what is worth storing.
+    # Drop the burn-in, and thin the rest.
     first = min(int(BURN_IN * tau), steps // 2) if math.isfinite(tau) else steps // 2
     total = (steps - first) * sampler.nwalkers
     every = max(1, math.ceil(total / KEPT), int(tau / 2) if math.isfinite(tau) else 1)
@@ -269,7 +301,7 @@ def _result(
         drawn = np.sqrt(density.share * density.squares(thetas) / deviates)
         parameters[SIGMA + "_" * (SIGMA in parameters)] = drawn
         sigma = drawn[:, None]
-    # The groups of ArviZ, the likelihood of rows only where it has room.
+    # The groups of ArviZ; the likelihood of rows only if it is small enough.
     output = problem.dataset.output
     groups = {
         "posterior": {name: values.reshape(shape) for name, values in parameters.items()},
@@ -281,7 +313,7 @@ def _result(
         likelihood = _log_likelihood(problem, thetas, sigma)
         groups["log_likelihood"] = {output: likelihood.reshape(*shape, rows)}
     else:
-        notes.append(f"likelihoods of {rows:,} rows are left out: they would take too much room.")
+        notes.append(f"likelihoods of {rows:,} rows are omitted: they would need too much memory.")
     attributes = {
         "problem": problem.name, "data": problem.dataset.digest, "seed": seed, "ended": ended,
         "steps": steps, "dropped_steps": first, "thinned_by": every, "autocorrelation_time": tau,
@@ -294,7 +326,7 @@ def _result(
 
 
 def _log_likelihood(problem: CurveFit, thetas: Array, sigma: Array | float) -> Array:
-    """Of each row (n, N), at configurations (n, d) with the deviation sigma or sigmas (n, 1)."""
+    """Log-likelihoods (n, N) of rows at configurations (n, d), with one sigma or (n, 1)."""
     rows = len(problem.dataset)
     weights = np.ones(rows) if problem.weights is None else problem.weights
     scaled = problem.residual_rows(thetas)[:, :rows] / sigma
@@ -302,7 +334,7 @@ def _log_likelihood(problem: CurveFit, thetas: Array, sigma: Array | float) -> A
 
 
 def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:
-    """Free and tied parameters and quantities by name, (n,) each, at free ones (n, d)."""
+    """Free and tied parameters and quantities, (n,) each, by name, at configurations (n, d)."""
     model, names = problem.model, reported_space(problem.space).names
     values = dict(zip(names, reported_values(problem, thetas).T, strict=True))
     if isinstance(model, Tied):
@@ -312,19 +344,19 @@ def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:
 
 
 def _notes(density: _Density, ended: str, steps: int, tau: float) -> list[str]:
-    """What limits the posterior, in sentences."""
+    """Sentences on limits of the result."""
     notes = []
     if density.share < 1:
         notes.append(
-            f"errors depend on those of other rows, which the likelihood does not know of: "
-            f"{len(density.problem.dataset):,} rows count as {density.rows:.0f}, so that no "
-            "interval is narrower than that of the report."
+            "the errors of different rows are correlated, but the likelihood assumes independent "
+            f"errors: {len(density.problem.dataset):,} rows count as {density.rows:.0f}, so no "
+            "interval is narrower than in the report."
         )
     if ended != "enough":
-        why = "Ctrl-C" if ended == "interrupted" else "the last of its steps"
+        why = "by Ctrl-C" if ended == "interrupted" else "at its limit"
         notes.append(
-            f"ended by {why} after {steps:,} steps, {steps / tau:.0f} autocorrelation times of the "
-            f"{ENOUGH:.0f} that are enough: quantiles are rough; give more steps."
+            f"sampling ended {why} after {steps:,} steps, {steps / tau:.0f} autocorrelation times "
+            f"instead of {ENOUGH:.0f}: quantiles are imprecise; allow more steps."
         )
     return notes
 
@@ -333,7 +365,7 @@ def _as_arviz(
     arviz: Any, groups: dict[str, Any], dims: dict[str, list[str]], attributes: dict[str, Any]
 ) -> Any:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of more chains than draws
+        warnings.simplefilter("ignore", UserWarning)  # about more chains than draws
         if int(arviz.__version__.partition(".")[0]) < 1:
             return arviz.from_dict(**groups, dims=dims, attrs=attributes)
         return arviz.from_dict(groups, dims=dims, attrs={"/": attributes})

@@ -1,4 +1,4 @@
-"""Priors: what is known of parameters besides the data, as further residuals."""
+"""Priors: knowledge of parameters that does not come from the data, as further residuals."""
 
 from __future__ import annotations
 
@@ -23,17 +23,27 @@ if TYPE_CHECKING:
 
 
 FAR = 3.0
-"""An estimate so many deviations from its prior's mean is mentioned."""
+"""An estimate is mentioned if it is more standard deviations away from its prior mean."""
 
 
 @dataclass(frozen=True)
 class PriorResiduals:
     """The residuals of the parameters that have a prior: `scale` (u - mean) / std.
 
-    u is the parameter, or its logarithm on a logarithmic scale; `scale` is the unit of the data's
-    residuals, so that the sum of squares is twice the negative logarithm of the posterior (Gelman
-    et al., Bayesian Data Analysis, 3rd ed. 2013, Ch. 14.8). The bounds of the space truncate. The
-    parameters are free ones of the `space`, and those of `tied` that follow from them by `ties`.
+    u is the parameter, or its logarithm on a logarithmic scale. The sum of squares of all residuals
+    over `scale`^2 is twice the negative logarithm of the posterior, up to a constant (Gelman et
+    al., Bayesian Data Analysis, 3rd ed. 2013, Ch. 14.8). The bounds of the space truncate priors.
+
+    Parameters
+    ----------
+    space : Space
+        The free parameters, some of which have a prior.
+    scale : float
+        Standard deviation of the weighted errors of the data, in the unit of their residuals.
+    tied : tuple of Parameter
+        Tied parameters that have a prior.
+    ties : Ties, optional
+        The expressions that give the tied parameters.
     """
 
     space: Space
@@ -43,7 +53,7 @@ class PriorResiduals:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those that have a prior, (P,), the free ones first."""
+        """The P parameters that have a prior, the free ones first."""
         return (*(p for p in self.space.parameters if p.prior is not None), *self.tied)
 
     @cached_property
@@ -60,24 +70,24 @@ class PriorResiduals:
 
     @property
     def tied_graphs(self) -> list[Symbol]:
-        """Those of them that are tied, as formulas of the free parameters."""
+        """The tied parameters that have a prior, as formulas of the free parameters."""
         return [] if self.ties is None else [self.ties.graphs[k] for k in self._tied]
 
     def values(self, thetas: Array) -> Array:
-        """The parameters (n, P) at configurations (n, d)."""
+        """Values (n, P) of the parameters at configurations (n, d)."""
         if self.ties is None:
             return thetas[:, self._free]
         return np.hstack([thetas[:, self._free], self.ties.values(thetas)[:, self._tied]])
 
     def gradients(self, theta: Array) -> Array:
-        """Their derivatives (P, d) at one configuration (d,)."""
+        """Derivatives (P, d) of `values` at one configuration (d,)."""
         free = np.eye(theta.size)[self._free]
         if self.ties is None:
             return free
         return np.vstack([free, self.ties.value_slopes(theta[None])[0, self._tied]])
 
     def deviations(self, thetas: Array) -> Array:
-        """How many standard deviations they are from the mean, (n, P)."""
+        """Distances (n, P) from the prior means, in standard deviations."""
         mean, std = np.array([p.prior for p in self.parameters], dtype=float).T
         values = self.values(thetas)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -85,20 +95,23 @@ class PriorResiduals:
         return np.asarray(np.where(self._log, logs, values - mean) / std)
 
     def residuals(self, thetas: Array) -> Array:
-        """(n, P) of configurations (n, d)."""
+        """Residuals (n, P) at configurations (n, d)."""
         return self.scale * self.deviations(thetas)
 
     def slopes(self, theta: Array) -> Array:
-        """Their derivatives (P, d) at one configuration (d,)."""
+        """Derivatives (P, d) of `residuals` at one configuration (d,)."""
         std = np.array([p.prior[1] for p in self.parameters if p.prior is not None])
         unit = np.where(self._log, self.values(theta[None])[0], 1.0) * std
         return np.asarray(self.scale * self.gradients(theta) / unit[:, None])
 
 
 def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
-    """What each prior added: its mean and standard deviation, how many of these the estimate is
-    from there, the standard error from the data alone, and the share of what is known of the
-    parameter that the priors give."""
+    """A row per prior with its contribution to the estimate; empty without priors.
+
+    Columns: mean and standard deviation of the prior, distance of the estimate from the mean in
+    standard deviations, standard error from the data alone and from data and priors, and the share
+    of the information on the parameter that the priors supply, in %.
+    """
     import pandas as pd
 
     if problem.prior is None:
@@ -124,10 +137,10 @@ def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
 
 
 def prior_notes(table: pd.DataFrame) -> list[str]:
-    """In sentences, what of the parameters is the priors' and what the data's."""
+    """Sentences on the information that priors supply, and on priors that contradict the data."""
     sentences = []
     for row in table.to_dict("records"):
-        if np.isfinite(row["of the priors [%]"]):  # which of a parameter at its bound it is not
+        if np.isfinite(row["of the priors [%]"]):  # NaN for a parameter at a bound
             sentences.append(
                 f"the priors supply {row['of the priors [%]']:.0f} % of the information on "
                 f"{row['parameter']}: its standard error is {row['standard error']:.3g}, and "

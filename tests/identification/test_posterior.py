@@ -134,7 +134,7 @@ def test_a_seed_is_a_chain_and_its_end_is_said() -> None:
     np.testing.assert_array_equal(samples(first, "a"), samples(same, "a"))
     assert not np.array_equal(samples(first, "a"), samples(other, "a"))
     assert first.attrs["ended"] == "steps"
-    assert "ended by the last of its steps after 60 steps" in first.attrs["notes"]
+    assert "ended at its limit after 60 steps" in first.attrs["notes"]
 
 
 class Interrupted(Model):
@@ -231,14 +231,14 @@ def test_progress_is_shown_after_some_time(
 
 def test_bad_input_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = miho.fit(line, T, Y, BOX, loss=Huber(0.5), compiled=False)
-    with pytest.raises(ValueError, match="likelihood of normal errors; the loss is Huber"):
+    with pytest.raises(ValueError, match="expected the loss Square, got Huber"):
         fit.posterior()
     fit = miho.fit(line, T, Y, BOX, compiled=False)
     assert fit.posterior(steps=20, walkers=8)["posterior"].sizes["chain"] == 8
     with pytest.raises(ValueError, match="walkers is 3; expected a whole number of at least 8"):
         fit.posterior(walkers=3)
     exact = miho.fit(line, T, 1 + 2 * T, BOX, compiled=False)
-    with pytest.raises(ValueError, match="met to rounding, which tells no sigma; give sigma"):
+    with pytest.raises(ValueError, match="so they do not determine sigma; give sigma"):
         exact.posterior()
     monkeypatch.setitem(sys.modules, "emcee", None)
     with pytest.raises(ImportError, match=r"missing \(emcee\); pip install 'miho\[posterior\]'"):

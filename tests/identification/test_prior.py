@@ -90,7 +90,7 @@ def test_a_bootstrap_beside_priors_is_refused_and_the_sandwich_is_like_the_covar
     y = decay(t, 2.0, 1.5) + SIGMA * rng.standard_normal(40)
     space = {"a": (0, 5), "b": {"low": 0, "high": 10, "prior": (1.5, 1e-2)}}
     fit = miho.fit(decay, t, y, space, sigma=SIGMA, compiled=False)
-    with pytest.raises(ValueError, match="say nothing of priors; leave the bootstrap out"):
+    with pytest.raises(ValueError, match="expected 0 for a problem with priors"):
         make_report(fit.problem, fit.theta, replicates=50)
     at = fit.uncertainty
     assert np.sqrt(at.sandwich[1, 1]) == pytest.approx(at.standard_errors[1], rel=0.1)
