@@ -202,8 +202,8 @@ def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]
     """Sentences on optima that the data cannot distinguish; empty for a single optimum.
 
     They name the parameters whose values differ by more than a standard error, and the quantities
-    on which the optima agree: derived quantities of the model, else the shortest product of these
-    parameters.
+    that all optima have in common: derived quantities of the model, else the shortest product of
+    these parameters.
     """
     if len(optima) < 2:
         return []
@@ -269,7 +269,7 @@ def _compared(
 def _shared_product(
     problem: CurveFit, optima: Sequence[Linearised], several: Collection[str]
 ) -> list[str]:
-    """The shortest product of parameters on which the optima agree, as name and values.
+    """The shortest product of parameters with the same value at all optima, as name and values.
 
     Exponents are 1 and -1. Empty if no product of two or more parameters agrees within a standard
     error.

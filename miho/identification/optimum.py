@@ -25,7 +25,7 @@ LINEAR = 1e-9
 PROFILE, BOOTSTRAP, CHECK = "a profile", "the bootstrap", "a check"
 """The steps after a search that may find a better optimum."""
 TRIALS = 10
-"""Number of configurations at which a parameter without an effect is tried again."""
+"""Number of trial configurations for a parameter without an effect."""
 
 
 def standing_of(
@@ -48,7 +48,7 @@ def standing_of(
     theta : ndarray of shape (d,)
         The optimum.
     run : ndarray of shape (d,)
-        The result of the search, from which a descent led to `theta`.
+        The result of the search; a descent from it led to `theta`.
     searches : sequence of Descents
         The descents of the run, and of a check of the run.
     at : Linearised, optional
@@ -135,7 +135,7 @@ def _by_descents(
 
 
 def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
-    """A clause on the errors at which the search, whose result has the loss `before`, ended."""
+    """A clause on the final errors of the search, whose result has the loss `before`."""
     ends = [end for search in searches for end in search.ends]
     error = f"{math.sqrt(min(ends, default=before)):.5g} {unit}".rstrip()
     if not ends:

@@ -75,7 +75,7 @@ BIASED = (
 SUSPICIOUS = 2.0
 """An error is mentioned if it exceeds the upper end of the irreducible error by this factor."""
 ROUNDING = 1e-12
-"""Errors below this fraction of the output are rounding, to which no statistics apply."""
+"""Errors below this fraction of the output are rounding, not noise."""
 REMEDY = "search from more starts, or in a narrower or logarithmic box."
 
 
@@ -83,7 +83,7 @@ REMEDY = "search from more starts, or in a narrower or logarithmic box."
 class Report:
     """The results of one identification; every table is a function of these fields.
 
-    A report describes one optimum, to which a descent from the result of the run led. `make_report`
+    A report describes one optimum, the end of a descent from the result of the run. `make_report`
     makes it. `print(report)` shows the parameters, the error and all remarks.
 
     Parameters
@@ -91,7 +91,7 @@ class Report:
     problem : CurveFit
         The identified problem.
     run : ndarray of shape (d,)
-        The parameters with which the run ended.
+        The final parameters of the run.
     at : Linearised
         The optimum and its uncertainty.
     standing : Standing

@@ -86,7 +86,7 @@ def make_report(
     problem : CurveFit
         The problem of the run.
     run : ndarray of shape (d,)
-        The parameters with which the run ended.
+        The final parameters of the run.
     descents, check : Descents, optional
         The ends of the descents of the run, and of a check of the run.
     better : ndarray of shape (d,), optional
@@ -214,7 +214,7 @@ class _Best:
 
 @dataclass(frozen=True)
 class _Work:
-    """What all steps share: the deadline, the progress callback, the pool, and a late remark."""
+    """The deadline, the progress callback, the pool and the remark on missing results."""
 
     deadline: Deadline
     progress: Callable[[str], object]

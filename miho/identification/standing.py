@@ -18,7 +18,7 @@ OVERLOOKED = 0.01
 
 @dataclass(frozen=True)
 class Standing:
-    """The evidence for an optimum, from which every output takes its statement.
+    """The evidence for an optimum, the source of the statement in every output.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ class Standing:
     doubt : str, optional
         Why a better optimum may exist. Empty if the evidence is sufficient.
     certain : bool, optional
-        Whether the evidence does not rest on the agreement of searches, all of which may have
-        missed a better optimum.
+        Whether the evidence does not rest on the agreement of searches, which may all have missed a
+        better optimum.
     """
 
     evidence: str
