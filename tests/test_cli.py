@@ -217,7 +217,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
     "a parameter added for nothing": (
         ["+space.a={unit: V, low: 1, high: 3}"],
-        "needs the parameters B, C, D, Sx, Sy; the space has a besides",
+        "needs the parameters B, C, D, Sx, Sy; the space also has a",
     ),
     "a parameter added in part": (["+space.a.low=1"], "space.a.unit: is missing"),
     "nothing for a choice": (["space=null"], "space=null: is no choice; ~space leaves it out"),
@@ -247,7 +247,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "an unknown name in it": (["space.C.tied=1 + Bq"], "no parameter Bq; did you mean B?"),
     "an empty set": (
         ["space.C.tied=1 + B", "space.C.low=500", "space.C.high=600"],
-        "'1 + B' is 1.05 to 200.9 in the box of the others, never 500 to 600",
+        "'1 + B' is 1.05 to 200.9 in the box of the other parameters; expected values from 500",
     ),
     "fixed to nothing": (["space.C.fixed=nan"], "'C': fixed is nan; expected a finite number"),
     "fixed to a word": (["space.C.fixed=one"], "space.C.fixed: is 'one'; expected a number"),
@@ -258,7 +258,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     ),
     "no such sigma": (["problem.sigma=noise"], "no column 'noise'"),
     "a sigma below 0": (["problem.sigma=-1"], "sigma is -1; expected a number above 0"),
-    "a prior without sigma": (["space.B.prior=[10, 1]"], "space.B.prior: how much it counts"),
+    "a prior without sigma": (["space.B.prior=[10, 1]"], "space.B.prior: expected a known sigma"),
     "half a prior": (["space.B.prior=[10]", "problem.sigma=1"], "expected mean and standard devi"),
     "a prior that is no number": (
         ["space.B.prior=[10, x]", "problem.sigma=1"],
@@ -271,10 +271,10 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     ),
     "a constraint that nothing keeps": (
         ["problem.constraints=['B < -1']"],
-        "B < -1 leaves nothing of B from 0 to 200",
+        "no values of B from 0 to 200 satisfy B < -1",
     ),
     "a constraint of others": (["problem.constraints=['B < Q']"], "'Q' has no parameter Q"),
-    "a number for a constraint": (["problem.constraints=5"], "constraints: 5 is none; give such"),
+    "a number for a constraint": (["problem.constraints=5"], "constraints: expected linear relat"),
     "no such folder": (["--config-dir", "no/such"], "--config-dir: no/such is not a folder"),
     "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),
     "a .tir without a coefficient": (missing_coefficient, "PKY1"),

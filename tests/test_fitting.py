@@ -158,7 +158,7 @@ def test_columns_may_stand_anywhere_and_be_called_as_parameters_are() -> None:
     frame = pd.DataFrame({"b": 0.0, "V": y, "t": t})
     swapped = miho.fit(lambda a, t, b: decay(t, a, b), frame, "V", BOX, compiled=False)
     assert swapped.values == pytest.approx(miho.fit(decay, t, y, BOX, compiled=False).values)
-    with pytest.raises(ValueError, match="x has the columns b, V; none is an argument"):
+    with pytest.raises(ValueError, match="x has the columns b, V; expected at least one"):
         miho.fit(decay, frame[["b", "V"]], "V", BOX)
 
 
@@ -167,7 +167,7 @@ def test_errors_that_drift_widen_intervals_and_it_is_said() -> None:
     for k in range(1, 60):  # a first-order autoregression of 0.9
         drift[k] = 0.9 * drift[k - 1] + 0.05 * noise[k]
     fit = miho.fit(decay, t, decay(t, 2.0, 1.5) + drift, BOX, compiled=False)
-    assert "intervals allow for errors that depend" in str(fit)
+    assert "intervals allow for correlated errors" in str(fit)
     assert "intervals allow" not in str(miho.fit(decay, t, y, BOX, compiled=False))
     plain = fit.uncertainty.independent.standard_errors
     assert (fit.parameters["standard_error"].to_numpy() > 1.2 * plain).all()
@@ -257,35 +257,41 @@ def test_a_pickled_fit_says_that_its_model_raises(
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "no bounds": ({"space": None}, "a has no bounds; give them, as in {'a': \\(0, 10\\)}"),
+    "no bounds": ({"space": None}, "a has no bounds; give them, for example {'a': \\(0, 10\\)}"),
     "a bound short": ({"space": {"a": (0, 5)}}, "b has no bounds"),
     "one number": ({"space": {"a": (0, 5), "b": 3}}, "bounds of b are 3; expected"),
-    "unknown": ({"space": {**BOX, "q": (0, 1)}}, "no parameter q, and none is tied|has q besides"),
-    "fixed unknown": ({"fixed": {"c": 1}}, "fixed: c is no parameter; choose from a, b"),
+    "unknown": ({"space": {**BOX, "q": (0, 1)}}, "no parameter q, and none is tied|also has q"),
+    "fixed unknown": ({"fixed": {"c": 1}}, "fixed: c is not a parameter; choose from a, b"),
     "a cycle": ({"tied": {"a": "b", "b": "a"}}, "cycle|every parameter"),
     "code": ({"tied": {"a": "__import__('os')"}}, "is not allowed; give numbers"),
     "an attribute": ({"tied": {"a": "b.real"}}, "'b.real' is not allowed"),
     "no expression": ({"tied": {"a": "1 +"}}, "'1 \\+' is no expression"),
     "a typing error": ({"tied": {"a": "2 * bb"}}, "no parameter bb; did you mean b"),
-    "never": ({"space": {"a": (50, 60), "b": (0, 5)}, "tied": {"a": "2 * b"}}, "never 50 to 60"),
+    "never": (
+        {"space": {"a": (50, 60), "b": (0, 5)}, "tied": {"a": "2 * b"}},
+        "expected values from 50 to 60",
+    ),
     "start short": ({"space": None, "start": {"a": 1}}, "b has no bounds|lacks b"),
     "lengths": ({"y": y[:3]}, "differ in length"),
     "no number": (
         {"y": np.where(t > 1, np.nan, y)},
         "y: a number is missing.*in 30 of 60 rows, first in row 31",
     ),
-    "no column": ({"y": "W"}, "y is 'W', which is no column of x"),
+    "no column": ({"y": "W"}, "y is 'W'; expected values, or the name of a column"),
     "sigma": ({"sigma": -1.0}, "sigma is -1.0; expected a number above 0"),
     "sigma 0": ({"sigma": np.zeros(60)}, "is 0 in row 1"),
     "sigma too small": ({"sigma": 1e-200}, "sigma is 1e-200; expected 1e-140 to"),
     "a row's sigma too small": ({"sigma": np.full(60, 1e-200)}, "is 1e-200 in row 1"),
-    "a table for a column": ({"x": np.ones((60, 2))}, "t has the shape \\(60, 2\\); give a column"),
+    "a table for a column": (
+        {"x": np.ones((60, 2))},
+        "t has the shape \\(60, 2\\); expected a column",
+    ),
     "other labels": (
         {"x": pd.DataFrame({"t": t}), "y": pd.Series(y, index=range(1, 61))},
         "x, y and sigma have different row labels; align them",
     ),
     "a constraint": ({"constraints": "a < c"}, "'c' has no parameter c; choose from a, b"),
-    "columns": ({"x": (t, t)}, "needs the parameters b; the space has a besides|has 2"),
+    "columns": ({"x": (t, t)}, "needs the parameters b; the space also has a|has 2"),
 }
 
 
@@ -465,7 +471,7 @@ def test_sizes_and_signs_that_are_stated_are_taken() -> None:
         miho.fit(tire, rows | {"Fy": np.zeros(5)}, "Fy", start={"PHY1": 0.0})
     with pytest.raises(ValueError, match="convention is 'iso'; choose from iso-w, sae"):
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, convention="iso")
-    with pytest.raises(ValueError, match="convention and ranges are of the data of a tire"):
+    with pytest.raises(ValueError, match="convention and ranges: expected for the data of a tire"):
         miho.fit(decay, t, y, BOX, convention="sae")
 
 

@@ -61,12 +61,15 @@ def test_the_scale_of_a_loss_by_name_is_that_of_the_errors() -> None:
         ({"loss": "hubber"}, "expected miho.identification.Huber.* 'huber': did you mean that?"),
         ({"loss": 3}, "or one of square, huber, cauchy"),
         ({"method": "least-squares"}, "'least_squares': did you mean that"),
-        ({"method": "xx"}, "method is 'xx'; expected a method such as .* one of cluster_gauss"),
+        ({"method": "xx"}, "method is 'xx'; expected a method, .* one of cluster_gauss"),
         (
             {"method": LeastSquares},
             r"the class LeastSquares; write method=LeastSquares\(\)",
         ),
-        ({"budget": 300}, r"budget is 300; expected such as miho.Budget\(evaluations=1000\)"),
+        (
+            {"budget": 300},
+            r"budget is 300; expected a Budget, for example miho.Budget\(evaluations=1000\)",
+        ),
     ],
 )
 def test_what_is_none_is_refused_in_one_line(keywords: dict[str, Any], message: str) -> None:

@@ -1,4 +1,4 @@
-"""Methods and losses by the names that they have on the command line."""
+"""Methods and losses by their names on the command line."""
 
 from __future__ import annotations
 
@@ -31,32 +31,34 @@ METHODS = {
     "tiktak": "TikTak",
     "variable_projection": "VariableProjection",
 }
-"""The class in `miho.methods` of each method that needs no settings."""
+"""Class names in `miho.methods` of the methods that need no settings."""
 EFFICIENT: dict[str, tuple[type[Huber | Cauchy], float]] = {
     "huber": (Huber, 1.345),
     "cauchy": (Cauchy, 2.385),
 }
-"""The scale over the errors' standard deviation with 95 % of the efficiency of least squares."""
+"""Class and relative scale of each robust loss. The scale, over the standard deviation of the
+errors, keeps 95 % of the efficiency of least squares."""
 
 
 def method_of(method: object) -> Optimizer:
-    """The method of a name, or one as it is; raises ValueError for anything else."""
+    """The method of a name; a method itself is returned unchanged. Raises ValueError otherwise."""
     if isinstance(method, Optimizer):
         return method
     if isinstance(method, type):
         raise ValueError(f"method is the class {method.__name__}; write method={method.__name__}()")
     if not isinstance(method, str) or method not in METHODS:
-        expected = f"a method such as miho.methods.LeastSquares(), or {_choices(method, METHODS)}"
+        choices = _choices(method, METHODS)
+        expected = f"a method, for example miho.methods.LeastSquares(), or {choices}"
         raise ValueError(f"method is {method!r}; expected {expected}")
     named: Optimizer = getattr(miho.methods, METHODS[method])()
     return named
 
 
 def loss_of(loss: Loss | str | None, sigma: object = None) -> Loss:
-    """The loss of a name, or one as it is; raises ValueError for anything else.
+    """The loss of a name; a loss itself is returned unchanged. Raises ValueError otherwise.
 
-    The scale of a robust loss by name is that of errors whose standard deviations `sigma`, a number
-    or one for each row, are known.
+    The scale of a robust loss by name follows from the standard deviation `sigma` of the errors, a
+    number or one for each row.
     """
     if loss is None or loss == "square":
         return Square()
@@ -69,9 +71,9 @@ def loss_of(loss: Loss | str | None, sigma: object = None) -> Loss:
     kind, factor = EFFICIENT[loss]
     if sigma is None:
         raise ValueError(
-            f"loss is {loss!r}, which needs a scale in the unit of the output; give the errors' "
-            f"standard deviation as sigma, or loss=miho.identification.{kind.__name__}(scale=...), "
-            f"{factor} times that"
+            f"loss is {loss!r}, which needs a scale in the unit of the output; give the standard "
+            f"deviation of the errors as sigma, or {factor} times it as "
+            f"loss=miho.identification.{kind.__name__}(scale=...)"
         )
     if not np.all(np.asarray(sigma, dtype=float) > 0):
         raise ValueError("sigma is 0 or below in some row; expected numbers above 0")
@@ -79,16 +81,16 @@ def loss_of(loss: Loss | str | None, sigma: object = None) -> Loss:
 
 
 def check_budget(budget: object) -> None:
-    """Raise ValueError for a budget that is none."""
+    """Raise ValueError unless `budget` is a Budget or None."""
     if not isinstance(budget, Budget | None):
         raise ValueError(
-            f"budget is {budget!r}; expected such as miho.Budget(evaluations=1000), or "
-            "miho.Budget(seconds=60)"
+            f"budget is {budget!r}; expected a Budget, for example miho.Budget(evaluations=1000) "
+            "or miho.Budget(seconds=60)"
         )
 
 
 def _choices(name: object, names: Iterable[str]) -> str:
-    """The name that is closest to a misspelt one, or all names if none is close."""
+    """The name closest to a misspelt one, or all names if none is close."""
     names = list(names)
     close = difflib.get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
     return f"{close[0]!r}: did you mean that?" if close else f"one of {', '.join(names)}"

@@ -1,4 +1,4 @@
-"""A problem as it is stated in a call: columns and bounds by name, units where there are some."""
+"""The arguments of a fit: columns, bounds and units, as dataset, model and space."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from miho.models.tire_formula import TireFormula, is_coefficient, tire_formula
 from miho.optim import Parameter, Space
 
 FAR = 1e6
-"""A parameter without bounds is sought so many times its start on either side of it."""
+"""The search range of a parameter without bounds: this multiple of its start on either side."""
 DENSE = 10.0
-"""The same beside dense constraints, whose rays would be too long for what is near."""
+"""The same multiple with dense constraints; longer rays would resolve too little."""
 NEAR = 0.1
-"""A model is tried out at parameters without bounds that differ by this share from their start."""
+"""A model is tried at values of parameters without bounds that differ by this share from their
+start."""
 
 MISSING = ("raise", "drop")
-"""What may become of rows in which a number is missing."""
+"""The treatment of rows with a missing number."""
 COMPLEX = (
     "miho.fit_joint({{'real': (lambda ...: model(...).real, x, {0}.real), "
     "'imag': (lambda ...: model(...).imag, x, {0}.imag)}}, bounds)"
 )
-"""How complex numbers are fitted."""
+"""The call that fits complex numbers."""
 
 Tire = MagicFormula | str | os.PathLike[str]
 
@@ -48,12 +49,16 @@ def of_tire(
     fixed: Mapping[str, float],
     tied: Mapping[str, str],
 ) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
-    """The model of a tire or its file, with bounds and start: the tire's own of what is only named.
+    """The model of a tire or of its file, with bounds and start.
 
-    Where coefficients are tied, the space may have names that are none.
+    A coefficient that is only named starts at the value of the tire. If coefficients are tied, the
+    space may have parameters that are not coefficients.
     """
     if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
-        raise ValueError("of a tire, x are columns by name, and y is that of one: Fx, Fy or Mz")
+        raise ValueError(
+            "x and y of a tire: expected columns by name as x and the name of one of them, Fx, Fy "
+            "or Mz, as y"
+        )
     space = [space] if isinstance(space, str) else space
     bounded = isinstance(space, Space | Mapping)
     named = space.names if isinstance(space, Space) else tuple(space)
@@ -76,24 +81,24 @@ def data_of(
     convention: str = "iso-w",
     ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> tuple[Dataset, Model, str | float | None]:
-    """The dataset, the model with the units that its function declares, and sigma as it has it.
+    """The dataset, the model with the units that its function declares, and sigma.
 
-    `parameters` are known to be no columns, even where `x` has some of their names. `missing` is
-    "raise" or "drop": what becomes of rows in which a number is missing. `convention` and `ranges`
-    are those of `tire_columns`.
+    Sigma becomes a number or the name of a column of the dataset. Names in `parameters` are
+    parameters, even if `x` has columns of the same names. `missing` ("raise" or "drop") is the
+    treatment of rows with a missing number. `tire_columns` documents `convention` and `ranges`.
     """
     if missing not in MISSING:
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
     by_name = isinstance(x, Mapping) or hasattr(x, "columns")
     if isinstance(y, str):
         if not by_name or y not in x:
-            raise ValueError(f"y is {y!r}, which is no column of x; give its values or its name")
+            raise ValueError(f"y is {y!r}; expected values, or the name of a column of x")
         output, values = y, x[y]
     else:
         output, values = "y", y
     if isinstance(model, MagicFormula):
         raise ValueError(
-            "the model is a tire; say which of its coefficients are free, as in "
+            "the model is a tire; expected its free coefficients as well, for example "
             'miho.models.TireFormula(tire, ("PDY1", "PKY1"), "Fy")'
         )
     if not isinstance(model, Model):
@@ -103,7 +108,7 @@ def data_of(
     if isinstance(model, TireFormula):
         inputs, values = tire_columns(model, inputs, values, convention, ranges)
     elif convention != "iso-w" or ranges:
-        raise ValueError("convention and ranges are of the data of a tire; leave them out")
+        raise ValueError("convention and ranges: expected for the data of a tire only; remove them")
     while output in inputs:
         output += "_"
     columns, units = (
@@ -112,7 +117,7 @@ def data_of(
     )
     if isinstance(sigma, str):
         if not by_name or sigma not in x:
-            raise ValueError(f"sigma is {sigma!r}, which is no column of x; give values or a name")
+            raise ValueError(f"sigma is {sigma!r}; expected values, or the name of a column of x")
         sigma = x[sigma]
     if sigma is not None and not np.ndim(sigma):
         sigma = float(sigma)
@@ -132,15 +137,15 @@ def tire_columns(
     convention: str = "iso-w",
     ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> tuple[dict[str, Any], Any]:
-    """The inputs and the force of a tire in ISO-W signs, in SI units as they are.
+    """The inputs and the force of a tire in ISO-W signs; all columns are in SI units.
 
-    The checks are the same as for a file: `miho.data.measurements.Layout` documents `convention`
+    The checks are the same as for a file. `miho.data.measurements.Layout` documents `convention`
     and `ranges`. Raises ValueError if the size or the sign of a column is impossible for a tire.
     """
     numbers = {**inputs, model.force: _numbers(model.force, force)}
     units = [*model.inputs.values(), model.output.replace("*", "")]
     layout = Layout([*numbers], units, model.force, convention=convention, ranges=ranges)
-    # Rows that are not finite, and columns of other lengths, are for the dataset to refuse.
+    # The dataset refuses rows that are not finite, and columns of different lengths.
     if len({column.shape for column in numbers.values()}) == 1 and np.ndim(numbers[model.force]):
         finite = np.flatnonzero(np.isfinite([*numbers.values()]).all(axis=0))
 
@@ -158,45 +163,50 @@ def tire_columns(
 def _complete(
     name: str, columns: dict[str, NDArray[np.float64]], missing: str
 ) -> dict[str, NDArray[np.float64]]:
-    """The rows of columns in which no number is missing; all, unless these are to be dropped."""
+    """The columns without rows that miss a number; raises ValueError unless `missing` is "drop"."""
     lacking = {key: np.isnan(column) for key, column in columns.items()}
     if not any(rows.any() for rows in lacking.values()):
         return columns
     if len({column.size for column in columns.values()}) > 1:
-        return columns  # which the dataset refuses
+        return columns  # the dataset refuses them
     dropped = np.logical_or.reduce(list(lacking.values()))
     affected = ", ".join(key for key, rows in lacking.items() if rows.any())
     count = f"{np.count_nonzero(dropped):,} of {dropped.size:,} rows"
     if missing == "raise" or dropped.all():
         raise ValueError(
             f"{affected}: a number is missing (NaN) in {count}, first in row "
-            f"{np.flatnonzero(dropped)[0] + 1}; leave them out, as missing='drop' of miho.fit does"
+            f"{np.flatnonzero(dropped)[0] + 1}; drop these rows, for example by missing='drop' of "
+            "miho.fit"
         )
-    sys.stderr.write(f"miho: {name}: {count} are left out, without a number in {affected}\n")
+    sys.stderr.write(f"miho: {name}: {count} are dropped: a number is missing in {affected}\n")
     return {key: column[~dropped] for key, column in columns.items()}
 
 
 def _check_alignment(x: Any, y: Any, sigma: Any) -> None:
-    """Refuse pandas' columns of one length whose rows have other labels than each other."""
+    """Refuse pandas columns of the same length with different row labels."""
     by_name = isinstance(x, Mapping) and not hasattr(x, "iloc")
     columns = x.values() if by_name else x if isinstance(x, tuple) else (x,)
     labels = [part.index for part in (*columns, y, sigma) if hasattr(part, "iloc")]
     for other in labels[1:]:
         if len(other) == len(labels[0]) and not other.equals(labels[0]):
             raise ValueError(
-                "x, y and sigma have different row labels; align them, as in y.loc[x.index], or "
-                "give y.to_numpy() to take rows by position"
+                "x, y and sigma have different row labels; align them, for example by "
+                "y.loc[x.index], or give y.to_numpy() to match rows by position"
             )
 
 
 def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[str, ...]:
-    """Which arguments of a function are columns: those before the *, else as many as x has."""
+    """The arguments of a function that are columns.
+
+    The result is empty if the function marks columns by a *. Otherwise they are the arguments with
+    the name of a column of x, or as many of the first arguments as x has columns.
+    """
     try:
         arguments = inspect.signature(function).parameters
     except (TypeError, ValueError):
-        return ()  # which the function model refuses
+        return ()  # the function model refuses it
     plain = function
-    while isinstance(plain, functools.partial):  # behind a bound argument all are keyword-only
+    while isinstance(plain, functools.partial):  # arguments after a bound one are keyword-only
         plain = plain.func
     own = arguments if plain is function else inspect.signature(plain).parameters
     if any(a.kind is a.KEYWORD_ONLY for a in own.values()):
@@ -205,8 +215,8 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
         names = tuple(name for name in arguments if name in x and name not in parameters)
         if not names:
             raise ValueError(
-                f"x has the columns {', '.join(map(str, x))}; none is an argument of the model "
-                f"({', '.join(arguments)}) without bounds"
+                f"x has the columns {', '.join(map(str, x))}; expected at least one with the name "
+                f"of an argument of the model ({', '.join(arguments)}) that has no bounds"
             )
         return names
     free = [name for name, value in arguments.items() if value.default is value.empty]
@@ -220,34 +230,37 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
         lacking = [name for name in names if name not in x]
         if lacking:
             raise ValueError(
-                f"x has no column {', '.join(lacking)}; {model.name} needs {', '.join(names)}"
+                f"x has no column {', '.join(lacking)}; expected {', '.join(names)} for "
+                f"{model.name}"
             )
         return {name: _numbers(name, x[name]) for name in names}
     columns = x if isinstance(x, tuple) else (x,)
     if len(columns) != len(names):
         raise ValueError(
-            f"x is {len(columns)} columns; {model.name} needs {len(names)}: {', '.join(names)}; "
-            "give them as a tuple or by name"
+            f"x has {len(columns)} columns; expected {len(names)} for {model.name}: "
+            f"{', '.join(names)}; give them as a tuple or by name"
         )
     return {name: _numbers(name, column) for name, column in zip(names, columns, strict=True)}
 
 
 def _numbers(name: str, values: Any) -> NDArray[np.float64]:
-    """A column of real numbers, NaN where one is missing; what would lose something is refused."""
+    """A column as real numbers, NaN for missing ones; refuses conversions that lose information."""
     array = np.asarray(values)
     if array.dtype.kind == "c":
         raise ValueError(
-            f"{name} is {array.dtype}; fit both of its parts, as in {COMPLEX.format(name)}"
+            f"{name} is {array.dtype}; expected real numbers; fit real and imaginary parts, for "
+            f"example by {COMPLEX.format(name)}"
         )
     if array.dtype.kind in "mM":
-        raise ValueError(f"{name} is {array.dtype}; give real numbers, such as seconds")
+        raise ValueError(f"{name} is {array.dtype}; expected real numbers, for example seconds")
     if array.ndim > 1:
         raise ValueError(
-            f"{name} has the shape {array.shape}; give a column (N,), several as a tuple or by name"
+            f"{name} has the shape {array.shape}; expected a column (N,); give several columns as "
+            "a tuple or by name"
         )
     if np.ma.is_masked(values):
         return np.where(np.ma.getmaskarray(values), np.nan, array.astype(float))
-    if array.dtype == object:  # in which None or pandas' NA stand for what is missing
+    if array.dtype == object:  # None or pandas.NA may represent a missing number
         import pandas as pd
 
         array = np.where(pd.isna(array), np.nan, array)
@@ -262,9 +275,9 @@ def space_of(
     tied: Mapping[str, str],
     reach: float = FAR,
 ) -> Space:
-    """The space that bounds, start, and what is fixed or tied make, the model's parameters first.
+    """The space from bounds, start, fixed and tied parameters; parameters of the model come first.
 
-    Parameters without bounds are sought `reach` times their start to either side.
+    The range of a parameter without bounds is `reach` times its start on either side.
     """
     ranges = bounds if isinstance(bounds, Mapping) else {}
     if isinstance(bounds, Space):
@@ -272,13 +285,15 @@ def space_of(
     names = list(dict.fromkeys([*model.parameters, *ranges]))
     for name in fixed:
         if name in tied:
-            raise ValueError(f"{name} is fixed to {fixed[name]!r} and tied to {tied[name]!r}")
+            raise ValueError(
+                f"{name} is fixed to {fixed[name]!r} and tied to {tied[name]!r}; choose one"
+            )
     for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
         for name in part:
             if name not in names:
                 added = ", or add it to the bounds, as a quantity" * (label == "tied")
                 raise ValueError(
-                    f"{label}: {name} is no parameter; choose from {', '.join(names)}{added}"
+                    f"{label}: {name} is not a parameter; choose from {', '.join(names)}{added}"
                 )
     parameters = []
     for name in names:
@@ -293,15 +308,15 @@ def space_of(
             ends = at - reach * max(abs(at), 1.0), at + reach * max(abs(at), 1.0)
             if settings.get("scale") == "log" and at > 0:
                 ends = at / reach, at * reach
-            # A model is tried out where it will be used: far off, a simulation may take for ever.
+            # A model is tried near the start: far away, a simulation may take very long.
             spread = NEAR if settings.get("scale") == "log" else NEAR * (abs(at) or 1.0)
             settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **settings}
         elif not settings and name in model.defaults:
             settings = {"fixed": model.defaults[name]}
         elif not settings:
             raise ValueError(
-                f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "
-                "every parameter"
+                f"{name} has no bounds; give them, for example {{{name!r}: (0, 10)}}, or a start "
+                "of every parameter"
             )
         elif start is not None and name not in start and not _held(settings):
             raise ValueError(f"start: lacks {name}; give a start of every free parameter")
@@ -313,7 +328,7 @@ def space_of(
 
 
 def _held(settings: Mapping[str, Any]) -> bool:
-    """Whether a parameter is not searched for."""
+    """Whether a parameter is fixed or tied."""
     low, high = settings.get("low"), settings.get("high")
     return bool(settings.get("fixed") is not None or settings.get("tied")) or (
         low is not None and low == high
@@ -321,7 +336,7 @@ def _held(settings: Mapping[str, Any]) -> bool:
 
 
 def _settings(name: str, bounds: Any) -> dict[str, Any]:
-    """The settings of a parameter from the forms that they may have."""
+    """The settings of a parameter from a `Parameter`, a mapping or a pair of bounds."""
     if bounds is None:
         return {}
     if isinstance(bounds, Parameter):
@@ -332,4 +347,4 @@ def _settings(name: str, bounds: Any) -> dict[str, Any]:
         bounds = bounds.tolist()
     if isinstance(bounds, Sequence) and not isinstance(bounds, str) and len(bounds) == 2:
         return {"low": float(bounds[0]), "high": float(bounds[1])}
-    raise ValueError(f"bounds of {name} are {bounds!r}; expected (low, high), such as (0, 10)")
+    raise ValueError(f"bounds of {name} are {bounds!r}; expected (low, high), for example (0, 10)")

@@ -1,11 +1,11 @@
-"""Linear constraints between parameters, such as a < b, by a reparametrisation.
+"""Linear constraints between parameters, for example a < b, by a reparametrisation.
 
-Box and constraints are a convex polytope. Fourier-Motzkin elimination (Schrijver, Theory of Linear
-and Integer Programming, 1986, Ch. 12.2) gives for each parameter in turn the ends between which it
-can be when those before it have their values; a free share, from 0 to 1, says where between them it
-is. So the whole set is searched and nothing else, as a box. The elimination of many dense
-inequalities has no end: where one range depends on too many of them, shares stand for the points
-along rays from the centre instead (`miho.radial_map`).
+Box and constraints form a convex polytope. Fourier-Motzkin elimination (Schrijver, Theory of Linear
+and Integer Programming, 1986, Ch. 12.2) gives the range of each parameter in turn as a function of
+the parameters before it. A free share from 0 to 1 locates the parameter within its range, so the
+search box of the shares covers the polytope exactly. The elimination of many dense inequalities
+takes too long. If a range depends on too many of them, shares locate points along rays from the
+centre instead (`miho.radial_map`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.models.formula_text import written
 from miho.models.symbolic import Symbol, argument, constant, gradient
@@ -26,18 +26,18 @@ from miho.quantities import Array
 from miho.radial_map import RadialMap
 
 RELATION = re.compile(r"(<=|>=|==|<|>|=)")
-EXAMPLE = "give such as 'a < b < c', 'a + b = 1' or 'b - a < 5'"
+EXAMPLE = "expected linear relations, for example 'a < b < c', 'a + b = 1' or 'b - a < 5'"
 THIN = 1e-9
-"""A set that is narrower than this share of the box in some direction is empty; a row that cuts
-less than this off it is superfluous."""
+"""A set narrower than this share of the box in some direction is empty; an inequality that removes
+less than this is redundant."""
 SMALL = 1e-12
 """A coefficient below this share of the largest is rounding."""
 MOST = 500
-"""Inequalities at most that are eliminated: the time grows with their cube."""
+"""Largest number of inequalities for the elimination: the time grows with their cube."""
 
 
 class Form(NamedTuple):
-    """coefficients (d,) @ theta + offset."""
+    """The linear form coefficients (d,) @ theta + offset."""
 
     coefficients: Array
     offset: float
@@ -47,14 +47,14 @@ class Form(NamedTuple):
         return Form(self.coefficients - other.coefficients, self.offset - other.offset)
 
     def solved_for(self, k: int) -> Form:
-        """What parameter k is where this is 0."""
+        """The form that parameter k equals if this form is 0."""
         others = self.coefficients.copy()
         others[k] = 0.0
         return Form(-others / self.coefficients[k], -self.offset / self.coefficients[k])
 
 
 class Constraint(NamedTuple):
-    """A form that is at least 0, or 0 where `equal`, as `text` says."""
+    """A form that is at least 0, or exactly 0 if `equal`; `text` is the user's constraint."""
 
     form: Form
     equal: bool
@@ -62,18 +62,33 @@ class Constraint(NamedTuple):
 
 
 Ends = tuple[list[Form], list[Form]]
-"""Forms that a parameter is at least, and that it is at most."""
+"""Lower and upper bounds of a parameter, as forms."""
 
 
 def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
-    """The space of configurations that keep `constraints` too, such as "a < b < c" or "a + b = 1".
+    """Restrict a space to configurations that satisfy linear constraints.
 
-    Each is a chain of linear expressions. A parameter whose range depends on the others' is
-    tied to a free share behind it, which stands for it; the last one of an equation is tied to the
-    others. Raises ValueError for what is not linear, names no parameter, or leaves nothing.
+    Parameters
+    ----------
+    space : Space
+        The space with bounds of all parameters.
+    constraints : str or sequence of str
+        Chains of linear expressions, for example "a < b < c" or "a + b = 1".
+
+    Returns
+    -------
+    Space
+        The space with each parameter whose range depends on others tied to a free share. The last
+        parameter of an equation is tied to the others.
+
+    Raises
+    ------
+    ValueError
+        For a constraint that is not linear or names no parameter, or if no configuration
+        satisfies all constraints.
     """
     if not isinstance(constraints, str | Sequence):
-        raise ValueError(f"constraints: {constraints!r} is none; {EXAMPLE}")
+        raise ValueError(f"constraints: {EXAMPLE}; got {constraints!r}")
     texts = [constraints] if isinstance(constraints, str) else list(constraints)
     stated = [constraint for text in texts for constraint in _stated(space, text)]
     if not stated:
@@ -100,9 +115,9 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
 
 
 def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
-    """The free parameters (f,) at which those that shares stand for have these values.
+    """The free parameters (f,) that give the stated parameters these values.
 
-    Raises ValueError for values that do not keep the constraints.
+    Raises ValueError for values that violate the constraints.
     """
     theta = np.array([0.0 if p.stands_for else float(values[p.name]) for p in space.parameters])
     shares = {k: p.stands_for for k, p in enumerate(space.parameters) if p.stands_for}
@@ -118,7 +133,8 @@ def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
         value = float(values[name])
         if not low <= value <= high:
             raise ValueError(
-                f"start: {name} is {value:g}, and the constraints leave {low:.6g} to {high:.6g}"
+                f"start: {name} is {value:g}; expected {low:.6g} to {high:.6g}, the range that the "
+                "constraints allow"
             )
         if low < high:
             theta[k] = np.log(value / low) / np.log(high / low) if log else (
@@ -127,16 +143,18 @@ def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
 
 
 def _stated(space: Space, text: str) -> list[Constraint]:
-    """The constraints of one chain."""
+    """The constraints in one chain."""
     parts = RELATION.split(text) if isinstance(text, str) else []
     if len(parts) < 3 or not all(part.strip() for part in parts):
-        raise ValueError(f"constraints: {text!r} is none; {EXAMPLE}")
+        raise ValueError(f"constraints: {EXAMPLE}; got {text!r}")
     forms = [_form(space, part.strip()) for part in parts[::2]]
     stated = []
     for left, relation, right in zip(forms, parts[1::2], forms[1:], strict=False):
         form = left.minus(right) if relation in (">", ">=") else right.minus(left)
         if not form.coefficients.any():
-            raise ValueError(f"constraints: {text!r} has a part without free parameters")
+            raise ValueError(
+                f"constraints: {text!r} has a part without free parameters; remove that part"
+            )
         stated.append(Constraint(form, relation in ("=", "=="), text))
     return stated
 
@@ -157,49 +175,49 @@ def _form(space: Space, text: str) -> Form:
         if space.parameters[k].tied is not None:
             raise ValueError(
                 f"constraints: {text!r} has {space.names[k]}, which is tied to "
-                f"{space.parameters[k].tied!r}; write that instead"
+                f"{space.parameters[k].tied!r}; write that expression instead"
             )
     value = written("value", {"theta": places}, [graph], single=True)
     return Form(coefficients, float(value((0.0,) * len(space))))
 
 
 class _TooLongError(Exception):
-    """The elimination of dense inequalities leaves ranges that depend on too much."""
+    """The elimination of dense inequalities gives ranges that depend on too many parameters."""
 
 
 class _Polytope:
-    """Those configurations (d,) of a space that keep constraints."""
+    """The configurations (d,) of a space that satisfy constraints."""
 
     def __init__(self, space: Space, constraints: list[Constraint]) -> None:
         self._space, self._constraints = space, constraints
         used = np.any([c.form.coefficients != 0 for c in constraints], axis=0)
         self._members = np.flatnonzero(used).tolist()
-        free = [p.free for p in space.parameters]  # others have no part
+        free = [p.free for p in space.parameters]
         self._low = np.where(free, space.low, 0.0)
         self._width = np.where(free, space.high, 1.0) - self._low
 
     def centre(self) -> Array:
-        """The point (d,) farthest from all sides; raises ValueError where there is no room."""
+        """The point (d,) farthest from all sides; raises ValueError if the polytope is empty."""
         room, centre = self._room(self._constraints)
         if room > THIN:
             return centre
         few = self._constraints
-        for text in dict.fromkeys(c.text for c in few):  # as few as leave nothing
+        for text in dict.fromkeys(c.text for c in few):  # a minimal set that contradicts itself
             fewer = [c for c in few if c.text != text]
             few = few if self._room(fewer)[0] > THIN else fewer
         listed = ", ".join(dict.fromkeys(c.text for c in few))
         if self._room(few, boxed=False)[0] <= THIN:
-            raise ValueError(f"constraints: no values keep {listed}; leave one out")
+            raise ValueError(f"constraints: no values satisfy {listed}; remove one of them")
         involved = np.any([c.form.coefficients != 0 for c in few], axis=0)
         ranges = ", ".join(
             f"{p.name} from {p.low:g} to {p.high:g}"
             for p, is_involved in zip(self._space.parameters, involved, strict=True)
             if is_involved
         )
-        raise ValueError(f"constraints: {listed} leaves nothing of {ranges}; widen a range")
+        raise ValueError(f"constraints: no values of {ranges} satisfy {listed}; widen a range")
 
     def means(self, centre: Array) -> Array:
-        """Where searches start in the mean (d,); the centre (d,) if that does not keep all."""
+        """The mean (d,) of the starting points; the centre (d,) if it violates a constraint."""
         own = [p.mean for p in self._space.parameters]
         means = np.array([c if m is None else m for c, m in zip(centre, own, strict=True)])
         at = (means - self._low) / self._width
@@ -217,7 +235,7 @@ class _Polytope:
         if boxed:
             sides += [Form(e, 0.0) for e in np.eye(d)] + [Form(-e, 1.0) for e in np.eye(d)]
         equations = [self._scaled(c.form) for c in constraints if c.equal]
-        # The last unknown is the distance, at most 1, which is to be as large as possible.
+        # The last unknown is the distance, at most 1, which is maximised.
         solution = scipy.optimize.linprog(
             -np.eye(d + 1)[-1],
             A_ub=np.array([[*-side.coefficients, 1.0] for side in sides]).reshape(-1, d + 1),
@@ -231,14 +249,14 @@ class _Polytope:
         return float(solution.x[-1]), self._low + self._width * solution.x[:-1]
 
     def _scaled(self, form: Form) -> Form:
-        """Of shares of the ranges, with 1 as its largest coefficient."""
+        """The form in shares of the ranges, scaled to a largest coefficient of 1."""
         coefficients = form.coefficients * self._width
         size = np.abs(coefficients).max()
         offset = form.offset + form.coefficients @ self._low
         return Form(coefficients / size, float(offset / size))
 
     def solved(self) -> tuple[dict[int, Form], list[Form]]:
-        """Linear forms that equations give parameters, by position; and forms that stay above 0."""
+        """Forms of the parameters that equations determine, by position; and inequalities."""
         sides = [c.form for c in self._constraints if not c.equal]
         for k, e in zip(self._members, np.eye(len(self._low))[self._members], strict=True):
             sides += [Form(e, -self._low[k]), Form(-e, self._low[k] + self._width[k])]
@@ -255,7 +273,7 @@ class _Polytope:
         return equations, sides
 
     def eliminated(self, equations: Mapping[int, Form], sides: list[Form]) -> dict[int, Ends]:
-        """By position, between what the others are; raises _TooLongError where that is too long."""
+        """Bounds of the other parameters, by position; raises _TooLongError if one is too long."""
         names = self._space.names
         ends: dict[int, Ends] = {}
         for k in reversed([k for k in self._members if k not in equations]):
@@ -272,7 +290,7 @@ class _Polytope:
         return ends
 
     def shares(self, equations: Mapping[int, Form]) -> dict[int, Parameter]:
-        """By position, the shares of a radial map that stand for what no equation gives."""
+        """Shares of a radial map, by position, for parameters that no equation determines."""
         shares: dict[int, Parameter] = {}
         for k in (k for k in self._members if k not in equations):
             parameter = self._space.parameters[k]
@@ -283,7 +301,7 @@ class _Polytope:
     def radial(
         self, shares: Mapping[int, Parameter], sides: Sequence[Form], centre: Array
     ) -> RadialMap:
-        """The points along rays from the centre (d,) that keep the sides."""
+        """The map along rays from the centre (d,) to points that satisfy all inequalities."""
         places = list(shares)
         rooms = np.array([side.offset + side.coefficients @ centre for side in sides])
         slopes = np.stack([side.coefficients[places] * self._width[places] for side in sides])
@@ -300,21 +318,21 @@ class _Polytope:
         )
 
     def _without(self, form: Form, k: int, value: Form) -> Form:
-        """A form with the value of parameter k put in."""
+        """The form with `value` substituted for parameter k."""
         factor = form.coefficients[k]
         coefficients = form.coefficients + factor * value.coefficients
         coefficients[k] = 0.0
         return self._clean(Form(coefficients, form.offset + factor * value.offset))
 
     def _clean(self, form: Form) -> Form:
-        """A form without coefficients that are rounding."""
+        """A form with rounding errors among its coefficients set to 0."""
         size = np.abs(form.coefficients * self._width)
         return form._replace(
             coefficients=np.where(size > SMALL * size.max(), form.coefficients, 0.0)
         )
 
     def _necessary(self, sides: list[Form]) -> list[Form]:
-        """Those without which the set were larger."""
+        """The inequalities that are not redundant."""
         necessary = [side for side in sides if side.coefficients.any()]
         for side in list(necessary):
             others = [self._scaled(other) for other in necessary if other is not side]
@@ -333,7 +351,7 @@ class _Polytope:
 
 
 def _tied(parameter: Parameter, expression: str) -> Parameter:
-    """A parameter that is tied, without a range of its own."""
+    """The parameter tied to an expression, without a range."""
     return replace(
         parameter, low=-np.inf, high=np.inf, mean=None, std=None, sigma_max=None, sigma_min=0.0,
         tied=expression,
@@ -343,9 +361,9 @@ def _tied(parameter: Parameter, expression: str) -> Parameter:
 def _between(
     parameter: Parameter, ends: Ends, names: Sequence[str], begin: Array, taken: set[str]
 ) -> list[Parameter]:
-    """A parameter between ends, tied to a share of what lies between them where those vary.
+    """A parameter within bounds; if these vary, it is tied to a share of its range.
 
-    Searches start about `begin` (d,), where the parameter has its `mean`, if it has one.
+    Starting points are drawn about `begin` (d,).
     """
     lower, upper = ends
     log, at = parameter.scale == "log", float(begin[names.index(parameter.name)])
@@ -369,7 +387,7 @@ def _between(
 
 
 def _share_name(parameter: Parameter, taken: set[str]) -> str:
-    """A name for the share that stands for a parameter."""
+    """An unused name for the share of a parameter."""
     name = f"{parameter.name}_share"
     while name in taken:
         name += "_"
@@ -377,7 +395,7 @@ def _share_name(parameter: Parameter, taken: set[str]) -> str:
 
 
 def _expression(parameter: Parameter, ends: Ends, names: Sequence[str], share: str) -> str:
-    """A parameter that is a share of the way between its ends."""
+    """The expression of a parameter as a share of its range."""
     lower, upper = ends
     first, last = _extreme("max", lower, names), _extreme("min", upper, names)
     if parameter.scale == "log":
@@ -390,7 +408,7 @@ def _expression(parameter: Parameter, ends: Ends, names: Sequence[str], share: s
 
 
 def _extreme(function: str, forms: Sequence[Form], names: Sequence[str]) -> str:
-    """The largest or smallest of forms, as an expression."""
+    """The maximum or minimum of forms, as an expression."""
     text = _text(forms[0], names)
     for form in forms[1:]:
         text = f"{function}({text}, {_text(form, names)})"
@@ -403,7 +421,7 @@ def _grouped(text: str) -> str:
 
 
 def _text(form: Form, names: Sequence[str]) -> str:
-    """A form as an expression, what is added first."""
+    """A form as an expression, with positive terms first."""
     terms = [(float(a), name) for a, name in zip(form.coefficients, names, strict=True) if a]
     if form.offset or not terms:
         terms.append((float(form.offset), ""))

@@ -1,4 +1,4 @@
-"""Whether model, data and space fit together, and the model is what it declares."""
+"""Checks that model, data and space fit together, and that the model is as it declares."""
 
 from __future__ import annotations
 
@@ -29,36 +29,36 @@ if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
 
 TRIALS = 5
-"""Configurations at which a new problem is tried out."""
+"""Number of trial configurations of a new problem."""
 RAISING = 1000
-"""Configurations at which a model may raise before it is refused."""
+"""A model is refused if it raises at this number of configurations."""
 DRAWN = 4096
-"""Configurations that are drawn to see whether any keeps all limits."""
+"""Number of configurations that are drawn to find one within all limits."""
 LINEAR = 1e-9
-"""A linear model's value halfway is the mean of both ends, to this fraction of their size."""
+"""Relative tolerance for the value of a linear model halfway: the mean of both ends."""
 FAR = 2.0
-"""A nominal value this factor beyond the data is far from them."""
+"""A nominal value is far from the data if it is beyond them by more than this factor."""
 SMALLEST, LARGEST = 1e-140, 1e150
-"""The range of the output's largest magnitude: its square, the square of its rounding and the sum
+"""Range of the largest magnitude of the output. Its square, the square of its rounding and the sum
 of squares over all rows then stay within double precision, 1e-308 to 1e308."""
 
 
 def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
-    """Raise ValueError for parts that do not fit together; warn of far nominal values.
+    """Raise ValueError for parts that do not fit together; warn about far nominal values.
 
-    So mistakes show before a search starts, and not as losses without a value in it. The model is
-    evaluated for that at a few configurations: at a single one if that takes long, and at none if
-    it is known to be `dear`.
+    Mistakes show before a search starts, instead of as losses without a value. The check evaluates
+    the model at a few configurations: at a single one if that takes long, and at none if the model
+    is known to be expensive (`dear`).
     """
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
     if problem.space.names != tuple(model.parameters):
         raise ValueError(_space_mismatch(model_name, list(model.parameters), problem.space.names))
-    if model.ordered and dataset.held_out is not None and not dear:  # which may not be known yet
-        raise ValueError(f"{model_name} needs every row in order: no rows can be held out")
+    if model.ordered and dataset.held_out is not None and not dear:  # may be unknown yet
+        raise ValueError(f"{model_name} needs every row in order; expected no held-out rows")
     _ = problem.inputs  # raises for a column that the data lack
 
-    # Units agree between space, data and model.
+    # Units of space, data and model agree.
     declared = {f"parameter {p.name!r} of the space": p.unit for p in problem.space.parameters}
     declared |= {f"column {name!r} of {dataset.name}": dataset.units[name] for name in model.inputs}
     declared |= {f"output {dataset.output!r} of {dataset.name}": problem.unit}
@@ -81,7 +81,7 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
 
 
 def _trials(space: Space) -> Iterator[Array]:
-    """The first RAISING of the common initial configurations, (d,) each; most are rarely drawn."""
+    """The first RAISING common initial configurations, (d,) each; few are drawn in most cases."""
     yield from space.decode(space.initial(TRIALS))
     yield from space.decode(space.initial(RAISING)[TRIALS:])
 
@@ -89,8 +89,8 @@ def _trials(space: Space) -> Iterator[Array]:
 def _usable(problem: CurveFit, model_name: str) -> Array | None:
     """The first trial configuration (d,) without an exception; None for an expensive model.
 
-    A model may raise on a part of the box. One that does so at all of RAISING configurations is
-    refused with its first error, and so is one that gives another shape.
+    A model may raise on a part of the box. It is refused with its first error if it raises at all
+    of RAISING configurations, and if it gives a wrong shape.
     """
     model, failures, fastest = problem.model, list[Exception](), math.inf
     for theta in _trials(problem.space):
@@ -114,12 +114,12 @@ def _usable(problem: CurveFit, model_name: str) -> Array | None:
 
 
 def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
-    """Refuse a model whose methods do not give the shapes that the search relies on."""
+    """Refuse a model whose methods give wrong shapes."""
     model, rows = problem.model, len(problem.dataset)
     shapes = {
         "predict": (model.predict(np.stack([theta, theta]), *problem.inputs).shape, (2, rows))
     }
-    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # differences do
+    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # else by differences
         J = model.jacobian(theta, *problem.inputs)
         shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():
@@ -128,7 +128,7 @@ def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
 
 
 def check_sigma(problem: CurveFit) -> None:
-    """Raise ValueError for standard deviations that are not positive numbers of the data."""
+    """Raise ValueError for a sigma that is not a positive number or a column of such numbers."""
     sigma = problem.sigma
     if problem.prior is not None:
         _check_prior(problem)
@@ -142,11 +142,14 @@ def check_sigma(problem: CurveFit) -> None:
         return
     column, dataset = problem.dataset[sigma], problem.dataset
     if sigma in problem.model.inputs or sigma == dataset.output:
-        raise ValueError(f"sigma is {sigma!r}, which the model explains or reads; give another one")
+        raise ValueError(
+            f"sigma is {sigma!r}, an input or the output of the model; name a column of standard "
+            "deviations"
+        )
     if dataset.units[sigma] != problem.unit and dataset.units[sigma] and problem.unit:
         raise ValueError(
-            f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected that of "
-            f"{dataset.output!r}, {problem.unit!r}"
+            f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected "
+            f"{problem.unit!r}, the unit of {dataset.output!r}"
         )
     wrong = np.flatnonzero(column <= 0)
     if wrong.size:
@@ -163,26 +166,44 @@ def check_sigma(problem: CurveFit) -> None:
 
 
 def _check_prior(problem: CurveFit) -> None:
-    """Refuse priors where their weight beside the data is not known."""
+    """Refuse priors whose weight relative to the data is unknown."""
     name = problem.prior.parameters[0].name if problem.prior is not None else ""
     if problem.prior_scale is None and (problem.sigma is None or not problem.sigma_known):
         raise ValueError(
-            f"space.{name}.prior: how much it counts beside the data depends on their errors; give "
-            "sigma, a number or a column, as known, or use miho.fit, which estimates it"
+            f"space.{name}.prior: expected a known sigma, which sets the weight of the prior "
+            "against the data; give sigma, a number or a column, or use miho.fit, which estimates "
+            "it"
         )
     if not isinstance(problem.rho, Square):
-        raise ValueError(f"space.{name}.prior: priors need the loss Square")
+        raise ValueError(
+            f"space.{name}.prior: expected the loss Square, got {type(problem.rho).__name__}; "
+            "remove the prior or change the loss"
+        )
 
 
 def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = False) -> Model:
-    """The function as a formula, if both give the same on the data at some configurations.
+    """The function as a formula, if both give the same values on the data at some configurations.
 
-    Else as one of which it is known how it is called. One that was read from a file is only traced
-    if its text says that it is arithmetic. One that is known to be `dear` is not called.
+    Otherwise the function, after trials that find out how it can be called. A function from a file
+    is traced only if its text is plain arithmetic. An expensive (`dear`) function is not called.
     """
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
-        return model  # which is refused
+        return model  # the check refuses it later
+    parameters = {parameter.name: parameter for parameter in space.parameters}
+    rng = np.random.default_rng(0)
+    thetas = np.empty((TRIALS, len(model.parameters)))
+    for k, name in enumerate(model.parameters):
+        known = parameters.get(name)
+        if known is not None and known.free:
+            own = Space((known,))
+            sampling = "uniform" if known.std is None else "normal"
+            thetas[:, k] = own.decode(own.sample(TRIALS, rng, sampling))[:, 0]
+            continue
+        thetas[:, k] = 0.5 + rng.random(TRIALS)
+        if known is not None and known.fixed is not None:
+            thetas[:, k] = known.fixed
+    columns = [dataset[name] for name in model.inputs]
     if model.tried != UNTRIED:
         return model
     thetas = _trials_of(model, space)
@@ -224,7 +245,7 @@ def _shares(count: int) -> Array:
 
 
 def with_defaults(space: Space, model: Model) -> Space:
-    """The space with the parameters that it leaves out fixed at the model's defaults."""
+    """The space with missing parameters fixed at the defaults of the model."""
     known = {parameter.name: parameter for parameter in space.parameters}
     if not any(name not in known for name in model.defaults):
         return space
@@ -236,10 +257,10 @@ def with_defaults(space: Space, model: Model) -> Space:
 
 
 def ties_of(model: Model, space: Space) -> Ties:
-    """How the model's parameters follow from the free ones of a space.
+    """The expressions that give the parameters of the model from the free ones of a space.
 
-    Raises ValueError for a space without all of the model's parameters, with one that nothing
-    depends on, with other units, or with no configuration in which tied ones keep their limits.
+    Raises ValueError for a space that lacks a parameter of the model, has one without an effect,
+    has other units, or has no configuration with all tied parameters within their limits.
     """
     name = model.name or type(model).__name__
     parameters = {parameter.name: parameter for parameter in space.parameters}
@@ -280,7 +301,7 @@ def ties_of(model: Model, space: Space) -> Ties:
 
 
 def _check_limits(ties: Ties, free: Space) -> None:
-    """Refuse limits of tied parameters that none of many configurations keeps."""
+    """Refuse limits of tied parameters that none of many configurations satisfies."""
     values_of_all = ties.values(free.decode(free.initial(DRAWN, "uniform")))
     within_all = np.ones(DRAWN, dtype=bool)
     for name, (low, high) in ties.limits.items():
@@ -289,49 +310,49 @@ def _check_limits(ties: Ties, free: Space) -> None:
         if not inside.any():
             raise ValueError(
                 f"space.{name}.tied: {ties.ties[name]!r} is {np.nanmin(values):.4g} to "
-                f"{np.nanmax(values):.4g} in the box of the others, never {low:g} to {high:g}; "
-                "widen a range"
+                f"{np.nanmax(values):.4g} in the box of the other parameters; expected values from "
+                f"{low:g} to {high:g}; widen a range"
             )
         within_all &= inside
     if not within_all.any():
         raise ValueError(
-            f"space: {', '.join(ties.limits)} keep their ranges together in none of {DRAWN:,} "
-            "configurations; widen a range"
+            f"space: none of {DRAWN:,} configurations keeps {', '.join(ties.limits)} within their "
+            "ranges; widen a range"
         )
 
 
 def _space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[str]) -> str:
-    """The message on a space that does not have the model's parameters in the model's order."""
+    """The message on a space without the parameters of the model in the order of the model."""
     lacking = [name for name in needed if name not in declared]
     surplus = [name for name in declared if name not in needed]
     differences = [f"lacks {', '.join(lacking)}"] * bool(lacking)
-    differences += [f"has {', '.join(surplus)} besides"] * bool(surplus)
+    differences += [f"also has {', '.join(surplus)}"] * bool(surplus)
     if not differences:
         differences = [f"has them in the order {', '.join(declared)}"]
     return (
         f"model {model_name} needs the parameters {', '.join(needed)}; the space "
-        f"{' and '.join(differences)}; choose the model's own space"
+        f"{' and '.join(differences)}; choose the space of this model"
     )
 
 
 def _check_output_size(problem: CurveFit) -> None:
-    """Refuse an output whose squares overflow, or vanish beside their rounding."""
+    """Refuse an output whose squares overflow or underflow."""
     largest = float(np.abs(problem.dataset[problem.dataset.output]).max(initial=0.0))
     if largest and not SMALLEST < largest < LARGEST:
         raise ValueError(
             f"column {problem.dataset.output!r} of {problem.dataset.name} reaches {largest:.3g} "
-            f"{problem.unit}, whose square is beyond double precision; give it in a unit in "
-            f"which it reaches {SMALLEST:g} to {LARGEST:g}"
+            f"{problem.unit}, whose square is beyond double precision; choose a unit that gives a "
+            f"largest value between {SMALLEST:g} and {LARGEST:g}"
         )
 
 
 def _check_values(problem: CurveFit, model_name: str) -> None:
-    """Refuse rows that are not finite at any trial configuration, and a false `linear`."""
+    """Refuse rows that are not finite at any trial configuration, and a wrong `linear`."""
     model = problem.model
     thetas = problem.space.decode(problem.space.initial(TRIALS))
     try:
         values = model.predict(thetas, *problem.inputs)
-    except Exception:  # noqa: BLE001 -- it may fail on a part of the box; the run counts how often
+    except Exception:  # noqa: BLE001 -- it may fail on a part of the box; the run counts failures
         return
     never = np.flatnonzero(~np.isfinite(values).any(axis=0))
     if never.size and np.isfinite(values).any():
@@ -355,8 +376,8 @@ def _linear_by_graph(model: Model) -> bool:
 def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:
     """Refuse a model that is not linear in its `linear` parameters.
 
-    Those are moved from the first of the configurations (n, d) to the second: halfway, a linear
-    model gives the mean of its values at both ends.
+    These parameters move from the first of the configurations (n, d) to the second. Halfway, a
+    linear model gives the mean of its values at both ends.
     """
     model, names = problem.model, problem.space.names
     moved = thetas[0].copy()
@@ -380,7 +401,7 @@ def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:
 
 
 def _check_nominal(problem: CurveFit, model_name: str) -> None:
-    """Warn where parameters refer to conditions far from those of the data."""
+    """Warn if parameters refer to conditions far from the conditions of the data."""
     for name, (nominal, value) in problem.model.nominal.items():
         column = problem.dataset[name]
         low, high = float(column.min()), float(column.max())
@@ -388,9 +409,9 @@ def _check_nominal(problem: CurveFit, model_name: str) -> None:
             unit = problem.dataset.units[name]
             warnings.warn(
                 f"{model_name}: {nominal} is {value:g} {unit}, but {name} is {low:g} to "
-                f"{high:g} {unit} in {problem.dataset.name}: the coefficients refer to what was "
-                f"not measured, and their usual ranges need not hold; choose {nominal} near "
-                f"{float(np.median(column)):.4g}",
+                f"{high:g} {unit} in {problem.dataset.name}: the coefficients refer to a condition "
+                "that was not measured, and their usual ranges may not hold; choose "
+                f"{nominal} near {float(np.median(column)):.4g}",
                 UserWarning,
                 stacklevel=3,
             )
