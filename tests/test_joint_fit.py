@@ -275,15 +275,19 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
 @pytest.mark.parametrize(
     ("parts", "keywords", "message"),
     [
-        ({"one": (decay, t, t)}, {}, "1 part; give at least two"),
+        ({"one": (decay, t, t)}, {}, "parts: expected at least two, got 1"),
         (
             {"A": (decay, t, t, 1.0), "B": (decay, t, t, -1)},
             {},
             "B: sigma is -1 in row 1",
         ),
         ({"A": (decay, t, t), "B": (decay, [0, 1], [1, 2])}, {}, "B: 2 rows for 2 parameters"),
-        ({"A": (decay, t, t), "B": (decay, t, t)}, {"local": ["q"]}, "local: q is no parameter"),
-        ({"A": (decay, t, t), "B": (line, t, t)}, {"fixed": {"z": 1}}, "fixed: z is no parameter"),
+        ({"A": (decay, t, t), "B": (decay, t, t)}, {"local": ["q"]}, "local: q is not a parameter"),
+        (
+            {"A": (decay, t, t), "B": (line, t, t)},
+            {"fixed": {"z": 1}},
+            "fixed: z is not a parameter",
+        ),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),
         ({"A": (miho.load_tir(embedded_tire("lf")), t, t)}, {}, "the model is a tire"),
     ],

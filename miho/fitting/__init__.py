@@ -1,4 +1,4 @@
-"""A problem stated, searched and asked in one call."""
+"""Fits in one call: one dataset, several datasets jointly, or many datasets one by one."""
 
 from typing import TYPE_CHECKING
 

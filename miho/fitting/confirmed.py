@@ -1,7 +1,7 @@
-"""Whether a fit is that of the user's function: it is called before the search and at its end.
+"""Checks that a fit evaluates the function of the user correctly.
 
-A formula that was traced, and parameters side by side, take the place of calls with numbers. That
-they give the same is seen at some configurations before the search, and at the optimum.
+A search may replace calls with numbers by a traced formula, or by calls with arrays of parameters.
+Some configurations before the search, and the optimum after it, must give the same values.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 CONFIGURATIONS, VALUES = 30, 1_000_000
-"""Configurations at which calls are compared before a search, and values of them at most."""
+"""Largest numbers of configurations, and of their values, that are compared before a search."""
 REPEATED = 1e-9
-"""Errors of two calls differ if by more than this share of the output's size."""
+"""The errors of two calls differ if the difference exceeds this share of the norm of the output."""
 
 
 def by_calls(
     problem: CurveFit, thetas: Array, evaluations: Evaluations | None = None
 ) -> CurveFit | None:
-    """The problem whose functions are called with numbers, where that gives other values.
+    """The problem with functions called with numbers, if that gives other values; else None.
 
-    The values at parameter rows (n, d) are compared; of a slow function those at the first. None if
-    they agree, or if `evaluations` may not be repeated.
+    Values at parameter rows (n, d) are compared; at the first row only for a slow function. The
+    result is None too if evaluations may not be repeated.
     """
     called = _called(problem.model)
     if called is problem.model or _is_final(problem, evaluations):
@@ -54,14 +54,14 @@ def by_calls(
     if agree() if formula is None else formula.agreed(thetas, agree):
         return None
     sys.stderr.write(
-        f"miho: {problem.name}: the function gives other values for numbers than for arrays; it is "
-        "called with numbers, one configuration at a time\n"
+        f"miho: {problem.name}: the function gives other values for numbers than for arrays, so it "
+        "is called with numbers, one configuration at a time\n"
     )
     return replace(problem, model=called, dear=True)
 
 
 def compared_at(problem: CurveFit) -> Array:
-    """The configurations (n, d) of the box at which calls are compared before a search."""
+    """Configurations (n, d) in the box for the comparison before a search."""
     count = min(CONFIGURATIONS, max(1, VALUES // max(1, len(problem.dataset))))
     return problem.space.decode(problem.space.initial(count))
 
@@ -69,7 +69,7 @@ def compared_at(problem: CurveFit) -> Array:
 def check_repeats(
     problem: CurveFit, theta: Array, cost: float, evaluations: Evaluations | None = None
 ) -> None:
-    """Warn of a function whose sum of squares at `theta` (d,) is another one in the next call."""
+    """Warn if a second call of the function at `theta` (d,) gives another sum of squares."""
     if not dear_leaves(problem.model) or _is_final(problem, evaluations):
         return
     try:
@@ -82,7 +82,7 @@ def check_repeats(
         warnings.warn(
             f"{problem.name}: two calls with the same parameters give the errors {first:.6g} and "
             f"{second:.6g} {problem.unit}".rstrip()
-            + "; a model with random numbers or a state of its own has no optimum: reset them in "
+            + "; a model with random numbers or an internal state has no optimum: reset them in "
             "each call",
             UserWarning,
             stacklevel=5,
@@ -90,14 +90,14 @@ def check_repeats(
 
 
 def _is_final(problem: CurveFit, evaluations: Evaluations | None) -> bool:
-    """Whether evaluations are not to be made again, as a journal has them or they may hang."""
+    """Whether evaluations may not be repeated: a journal records them, or they may hang."""
     return (
         evaluations is not None and not evaluations.may_repeat and bool(dear_leaves(problem.model))
     )
 
 
 def _called(model: Model) -> Model:
-    """The model with its functions called with numbers; itself where they are, or it has none."""
+    """The model with functions called with numbers; the same object if nothing changes."""
     if isinstance(model, FunctionFormula):
         return model.function.by_numbers
     if isinstance(model, FunctionModel):
@@ -115,16 +115,14 @@ def _called(model: Model) -> Model:
 
 
 def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...]) -> bool:
-    """Whether two models agree at each of some rows (n, d), where the calls do not raise."""
+    """Whether two models agree at parameter rows (n, d); rows that make `called` raise agree."""
     try:
         first, second = (each.predict(thetas, *inputs) for each in (model, called))
     except ValueError:
         if len(thetas) > 1:
             return all(_same(model, called, row[None], inputs) for row in thetas)
         return _raises(called, thetas, inputs)
-    if np.array_equal(first, second):
-        return True
-    # Each row is compared on its own scale; what is not finite has no value.
+    # Rows are compared on separate scales; numbers that are not finite have no value.
     finite = [np.where(np.isfinite(values), values, np.nan) for values in (first, second)]
     size = np.nan_to_num(np.abs(finite[0])).max(axis=1, keepdims=True, initial=0.0)
     size[size == 0] = 1.0

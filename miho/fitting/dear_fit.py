@@ -1,4 +1,4 @@
-"""A fit of a dear model: who makes its evaluations, what it says meanwhile, and what is kept."""
+"""A fit of an expensive model: workers, lines of progress, and the journal of evaluations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from miho.parallel.usage import span
 from miho.parallel.worth import is_dear
 
 FIRST = 2.0
-"""Seconds until a search says that it is alive."""
+"""Seconds before the first line of progress."""
 LIMIT = "budget=miho.Budget(seconds=60) after a minute"
 JournalPath = str | os.PathLike[str] | None
 
@@ -25,10 +25,10 @@ JournalPath = str | os.PathLike[str] | None
 def as_begun(
     problem_of: Callable[[bool], CurveFit], journal: JournalPath, limit: float | None
 ) -> CurveFit:
-    """The problem of a fit; as it was when its journal was begun, where there is one.
+    """The problem of a fit, in the state that its journal recorded if there is one.
 
-    It is not evaluated where it is known to be dear, since only that stands in a journal, and
-    where a `limit` is to hold for each evaluation.
+    The problem is not evaluated if it is known to be expensive, because a journal exists, or if a
+    `limit` applies to each evaluation.
     """
     calls = None if journal is None else calls_of(journal)
     return problem_of(calls is not None or limit is not None).called(calls or ())
@@ -41,10 +41,10 @@ def dear_fit(
     evaluation_limit: float | None = None,
     journal: JournalPath = None,
 ) -> Iterator[Evaluations | None]:
-    """What makes the evaluations of a fit, search and descents together; None if nothing special.
+    """The evaluator of a fit, for search and descents; None if this process evaluates directly.
 
-    Says on stderr from how many evaluations of an earlier call it goes on, how workers were used or
-    why they were not, and after a Ctrl-C what is kept.
+    Lines on stderr report the evaluations that the journal supplies and the use of workers. After
+    a Ctrl-C the exception names the journal and the number of evaluations in it.
     """
     with ExitStack() as stack:
         book = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
@@ -61,19 +61,20 @@ def dear_fit(
             if book is None or not len(book):
                 raise
             raise KeyboardInterrupt(
-                f"{len(book):,} evaluations are kept in {journal}; the same call goes on from them"
+                f"{len(book):,} evaluations are kept in {journal}; the same call continues from "
+                "them"
             ) from error
         if evaluations is not None and evaluations.workers > 1:
             _say(str(evaluations.usage))
 
 
 def spread(problem: CurveFit, evaluations: Evaluations | None) -> CurveFit:
-    """The problem with its evaluations made by these."""
+    """The problem with its evaluations made by `evaluations`, if given."""
     return problem if evaluations is None else problem.spread(evaluations)
 
 
 def title(problem: CurveFit) -> str:
-    """What lines call a problem: the name of its model, of which a lambda has none."""
+    """The name of a problem in lines on stderr: the name of its model, "model" for a lambda."""
     name = problem.model.name or "model"
     return "model" if name == "<lambda>" else name
 
@@ -81,9 +82,9 @@ def title(problem: CurveFit) -> str:
 def pace_line(
     problem: CurveFit, method: Optimizer, budget: Budget | None
 ) -> Callable[[Oracle], None]:
-    """What has a long search seen to be alive: a line on stderr after FIRST s and each ten s.
+    """An observer that reports a long search on stderr after FIRST seconds and every ten seconds.
 
-    The first line says how to limit a search that nothing limits.
+    The first line says how to limit a search without a budget.
     """
     budget = budget or Budget()
     pace = Pace(budget, FIRST)
@@ -105,13 +106,13 @@ def pace_line(
 
 
 def interrupted(run: RunRecord) -> KeyboardInterrupt:
-    """What is raised of a search that a Ctrl-C has ended."""
+    """The exception for a search that was interrupted by Ctrl-C."""
     each = run.seconds / max(1.0, run.evaluations)
     if not is_dear(each):
         return KeyboardInterrupt("the search was interrupted")
     return KeyboardInterrupt(
         f"the search was interrupted; an evaluation takes {span(each)}: with journal='FILE' none "
-        "is lost, and the same call goes on"
+        "is lost, and the same call continues"
     )
 
 

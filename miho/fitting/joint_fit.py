@@ -1,4 +1,4 @@
-"""A fit of several datasets or outputs at once, which share parameters."""
+"""A joint fit of several datasets or outputs that share parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,20 @@ from miho.parallel import Workers
 
 
 class Part(NamedTuple):
-    """One output over its columns: model, `x`, `y` and `sigma` are those of `miho.fit`."""
+    """One dataset or output of a joint fit.
+
+    Parameters
+    ----------
+    model : Model or callable
+        A model, or a function of input columns and parameters, as in `miho.fit`.
+    x : array_like, tuple, mapping or DataFrame
+        Input columns, (N,) each.
+    y : array_like of shape (N,) or str
+        Measured output, or the name of its column in `x`.
+    sigma : float, array_like of shape (N,) or str, optional
+        Standard deviation of the errors of `y`, in the same unit. By default `fit_joint` estimates
+        it from the residuals of the part.
+    """
 
     model: Model | Callable[..., Any]
     x: Any
@@ -51,15 +64,69 @@ def fit_joint(
     evaluation_limit: float | None = None,
     journal: JournalPath = None,
 ) -> JointFit:
-    """Fit several datasets, or several outputs of one motion, with parameters in common.
+    """Fit several datasets, or several outputs of one motion, with common parameters.
 
-    `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
-    each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `missing`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `compiled`,
-    `workers`, `evaluation_limit` and `journal` are those of `miho.fit`.
+    A parameter has the same value in all parts that have a parameter of its name, unless it is
+    `local`.
 
-    A part's sigma that is not given is estimated from its own residuals, see `Joint.complete`.
-    Raises ValueError for what does not fit together.
+    Parameters
+    ----------
+    parts : mapping of str to Part or tuple
+        The parts by name: model, x, y and optionally sigma of each. A missing sigma is estimated
+        from the residuals of its part, in turn with the parameters [1]_.
+    space : Space or mapping of str
+        Bounds of all parameters by name, as in `miho.fit`.
+    local : collection of str, optional
+        Parameters with a separate value in each part. The value of parameter NAME in part PART has
+        the name NAME_PART, and its bounds are the bounds of NAME unless NAME_PART has bounds.
+    missing : {"raise", "drop"}, optional
+        Treatment of rows with a missing number.
+    fixed : mapping of str to float, optional
+        Parameters that are fixed to numbers.
+    tied : mapping of str to str, optional
+        Parameters that are tied to expressions of other parameters.
+    constraints : str or sequence of str, optional
+        Linear constraints, for example "a < b".
+    method : Optimizer or str, optional
+        The search method, `MIHOGN()` by default.
+    budget : Budget, optional
+        Limit on evaluations or seconds.
+    seed : int, optional
+        Seed of the search.
+    compiled : bool, optional
+        Whether to compile the search of parts that are all the same expression; by default from
+        20,000 rows.
+    workers, evaluation_limit, journal : optional
+        As in `miho.fit`.
+
+    Returns
+    -------
+    JointFit
+        The fit; `part(name)` gives the fit of one part.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two parts, if parts, parameters and data do not fit together, or if
+        the search finds no finite value.
+
+    References
+    ----------
+    .. [1] Seber and Wild, Nonlinear Regression, 1989, Ch. 11.1.
+
+    Examples
+    --------
+    Two lines with a common slope `b`:
+
+    >>> import numpy as np
+    >>> import miho
+    >>> def line(t, a, b):
+    ...     return a + b * t
+    >>> t = np.linspace(0.0, 1.0, 11)
+    >>> parts = {"low": (line, t, 1 + 2 * t, 0.1), "high": (line, t, 3 + 2 * t, 0.1)}
+    >>> fit = miho.fit_joint(parts, {"a": (0, 5), "b": (0, 5)}, local=["a"])
+    >>> {name: round(value, 6) for name, value in fit.values.items()}
+    {'a_low': 1.0, 'b': 2.0, 'a_high': 3.0}
     """
     measured = {}
     for name, (model, x, y, *sigma) in parts.items():
@@ -69,7 +136,7 @@ def fit_joint(
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
-    plain = without_priors(bounds) if joint.lacking else bounds  # which need sigma
+    plain = without_priors(bounds) if joint.lacking else bounds  # priors need sigma
     problem = as_begun(
         lambda dear: joint.problem(plain, compiled=compiled, dear=dear), journal, evaluation_limit
     )
@@ -84,14 +151,29 @@ def fit_joint(
 
 @dataclass(frozen=True, eq=False)
 class JointFit(Fit):
-    """A fit of several parts; errors are weighted by sigma, and `scale` is their common unit."""
+    """The result of `fit_joint`; errors are weighted by sigma, and `scale` is their common unit."""
 
     def part(self, name: str) -> PartFit:
-        """One part's fit, with the values and uncertainties of all parts together."""
+        """The fit of one part, with values and uncertainties from the joint fit.
+
+        Parameters
+        ----------
+        name : str
+            Name of the part.
+
+        Returns
+        -------
+        PartFit
+
+        Raises
+        ------
+        ValueError
+            If there is no part of this name.
+        """
         parts = parts_of(self.problem.model)
         names = [part.name for part in parts]
         if name not in names:
-            raise ValueError(f"no part {name!r}; choose from {', '.join(names)}")
+            raise ValueError(f"part is {name!r}; expected one of {', '.join(names)}")
         part, rows = parts[names.index(name)], self.problem.dataset
         of_part = rows[PART] == names.index(name)
         output = f"output of {name}"
@@ -100,7 +182,7 @@ class JointFit(Fit):
         units = {**part.model.inputs, output: part.model.output}
         optima = tuple(_of_parameters(self.problem, at, part.parameters) for at in self._optima)
         values = optima[0].theta
-        # The space only says that these values are inside.
+        # A wide space that contains these values.
         parameters = zip(part.model.parameters.items(), values, strict=True)
         space = Space(
             tuple(Parameter(n, u, v - FAR * (1 + abs(v)), v + FAR * (1 + abs(v)))
@@ -122,29 +204,31 @@ class JointFit(Fit):
 
 @dataclass(frozen=True, eq=False)
 class PartFit(Fit):
-    """One part of a `joint` fit, whose uncertainties are those of all parts together."""
+    """One part of a `joint` fit, with values and uncertainties from all parts together."""
 
     joint: JointFit = field(kw_only=True)
     name: str = field(kw_only=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The joint fit, of which it is made again."""
+        """Pickle the joint fit and the name of the part."""
         return JointFit.part, (self.joint, self.name)
 
     def report(self, **settings: Any) -> NoReturn:
-        """Raises ValueError: a report of these data alone would have other values."""
+        """Raise ValueError: a report on the data of one part alone would have other values."""
         self._refuse("report")
 
     def posterior(self, **settings: Any) -> NoReturn:
-        """Raises ValueError: a posterior of these data alone would be another one."""
+        """Raise ValueError: a posterior from the data of one part alone would differ."""
         self._refuse("posterior")
 
     def _refuse(self, what: str) -> NoReturn:
-        raise ValueError(f"{what}: part {self.name!r} needs the joint fit; call it there")
+        raise ValueError(
+            f"{what}: part {self.name!r} needs the joint fit; call {what} of the joint fit"
+        )
 
 
 def _of_parameters(problem: CurveFit, at: Linearised, names: Sequence[str]) -> Linearised:
-    """The uncertainty of the parameters of a part, some of which may be fixed or tied."""
+    """The uncertainty of the parameters of a part; some of them may be fixed or tied."""
     stated, slopes = stated_parameters(problem, at)
     places = [[parameter.name for parameter in stated].index(name) for name in names]
     values = np.array([stated[k].value for k in places])

@@ -1,4 +1,4 @@
-"""The problem of several datasets or outputs at once, which share parameters by name."""
+"""The problem of a joint fit: several datasets or outputs that share parameters by name."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from miho.quantities import Array
 
 OUTPUT, SIGMA = "output of the part", "sigma of the row"
 SETTLED, ROUNDS = 1e-3, 20
-"""Deviations of the parts are estimated until they change by less than this share, in so many
-rounds at most."""
+"""Standard deviations of the parts are estimated until they change by less than this share, with a
+largest number of rounds."""
 
 
 class Measured(NamedTuple):
-    """A model, its data, and the standard deviation of their errors: a number, a column or None."""
+    """A model, its data, and sigma of the output: a number, the name of a column, or None."""
 
     model: Model
     dataset: Dataset
@@ -45,11 +45,22 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Parts by name. Parameters of one name are one, but those in `local`: NAME_PART in each part.
+    """Several parts with common parameters.
 
-    Sigma that is given counts as it is, or if not `known` up to one factor for all parts. Raises
-    ValueError for fewer than two parts, for a local parameter that no part has, and for a sigma
-    that is no positive number or column of positive ones.
+    Parameters
+    ----------
+    parts : mapping of str to Measured
+        The parts by name, at least two.
+    local : collection of str
+        Parameters with a separate value in each part, named NAME_PART.
+    known : bool
+        Whether given sigmas are absolute; else they share one unknown factor.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two parts, for a local parameter that no part has, and for a sigma that is
+        not a positive number or a column of positive numbers.
     """
 
     parts: Mapping[str, Measured]
@@ -58,17 +69,19 @@ class Joint:
 
     def __post_init__(self) -> None:
         if len(self.parts) < 2:
-            raise ValueError(f"{len(self.parts)} part; give at least two, or fit it by itself")
+            raise ValueError(
+                f"parts: expected at least two, got {len(self.parts)}; use miho.fit for one"
+            )
         for name in self.local:
             if not any(name in part.model.parameters for part in self.parts.values()):
-                raise ValueError(f"local: {name} is no parameter of any part")
+                raise ValueError(f"local: {name} is not a parameter of any part; remove it")
         for name, part in self.parts.items():
             _check_units(name, part)
-        _ = self.dataset  # raises for a sigma that is none
+        _ = self.dataset  # raises for an invalid sigma
 
     @cached_property
     def model(self) -> JointModel:
-        """The model of all parts, with the parameters' names among all."""
+        """The model of all parts, with joint names of the parameters."""
         return JointModel(
             tuple(
                 JointPart(name, part.model, tuple(self._joint_names(name, part.model)))
@@ -86,10 +99,10 @@ class Joint:
 
     @cached_property
     def dataset(self) -> Dataset:
-        """All rows below each other, held-out ones too; columns that a part does not read are 0.
+        """All rows below each other, including held-out rows.
 
-        Conditions that every part was measured under stay. A part without sigma has the standard
-        deviation of its output.
+        Columns that a part does not read are 0. Conditions that all parts have in common stay. The
+        sigma of a part without one is the standard deviation of its output.
         """
         rows = self._stacked([part.dataset for part in self.parts.values()])
         held_out = [part.dataset.held_out for part in self.parts.values()]
@@ -106,7 +119,7 @@ class Joint:
         return Dataset("joint", stacked_columns(parts, PART), units, OUTPUT)
 
     def _columns(self, name: str, dataset: Dataset | None) -> dict[str, Array]:
-        """The columns of a part's rows; none of one that holds no rows out."""
+        """The columns of a part; empty without a dataset."""
         part = self.parts[name]
         if dataset is None:
             return {OUTPUT: np.zeros(0)}
@@ -116,7 +129,7 @@ class Joint:
 
     @cached_property
     def _conditions(self) -> dict[str, str]:
-        """Columns that every part has, and their units; not what a part explains, nor its sigma."""
+        """Columns that all parts have in common, with units, without outputs and sigmas."""
         datasets = [part.dataset for part in self.parts.values()]
         explained = {p.dataset.output for p in self.parts.values()}
         explained |= {p.sigma for p in self.parts.values() if isinstance(p.sigma, str)}
@@ -134,12 +147,12 @@ class Joint:
         tied: Mapping[str, str] | None = None,
         constraints: str | Sequence[str] = (),
     ) -> Space:
-        """The space of `bounds` by name; those of NAME_PART are those of NAME by default."""
+        """The space from `bounds` by name; NAME_PART has the bounds of NAME by default."""
         whole = space_of(self.model, self._with_local(bounds), None, fixed or {}, tied or {})
         return constrained(whole, constraints)
 
     def problem(self, space: Space, **settings: Any) -> CurveFit:
-        """The problem within a space of all parameters; `settings` are those of `CurveFit`."""
+        """The problem within a space of all parameters; `settings` go to `CurveFit`."""
         model = self._traced(space, settings.get("dear", False))
         return CurveFit(
             model, self.dataset, space, sigma=SIGMA, sigma_known=self._known, **settings
@@ -147,11 +160,11 @@ class Joint:
 
     @property
     def _known(self) -> bool:
-        """Sigma of all parts that is estimated is so up to a factor."""
+        """Whether sigma is absolute: it is not if all parts lack it."""
         return self.known and len(self.lacking) < len(self.parts)
 
     def _with_local(self, bounds: Space | Mapping[str, Any]) -> dict[str, Any]:
-        """Bounds by name, those of a local parameter under the name of each part's own."""
+        """Bounds by name, with bounds of local parameters repeated for each part."""
         ranges = dict(bounds) if isinstance(bounds, Mapping) else {}
         if isinstance(bounds, Space):
             ranges = {parameter.name: parameter for parameter in bounds.parameters}
@@ -165,7 +178,7 @@ class Joint:
         return named
 
     def _traced(self, space: Space, dear: bool) -> Model:
-        """The model, with formulas of functions that are some, and itself one where it can be."""
+        """The model with functions replaced by formulas where possible, as one formula if it is."""
         named = {parameter.name: parameter for parameter in space.parameters}
         members = []
         for part in self.model.parts:
@@ -188,10 +201,10 @@ class Joint:
     ) -> CurveFit:
         """The problem within a space of all parameters, with sigma of all parts.
 
-        Where a part lacks it, it is estimated from its residuals, alternately with the parameters
-        (Seber and Wild, Nonlinear Regression, 1989, Ch. 11.1, for independent outputs), to four
-        digits, so that it is the same on every machine; beside priors without them first. Raises
-        ValueError where a part has too few rows to tell.
+        A missing sigma is estimated from the residuals of its part, alternately with the parameters
+        (Seber and Wild, Nonlinear Regression, 1989, Ch. 11.1, for independent outputs). It is
+        rounded to four digits, so it is the same on every machine. If there are priors, a first
+        estimate ignores them. Raises ValueError if a part has too few rows.
         """
         if not self.lacking:
             return self.problem(space, **settings)
@@ -221,11 +234,11 @@ class Joint:
         return problem
 
     def as_examined(self, problem: CurveFit) -> Joint:
-        """The same with the models of its problem, which are known for what they are."""
+        """The same parts with the models of `problem`, whose functions were examined already."""
         return self._with({}, parts_of(problem.model))
 
     def _with(self, sigma: Mapping[str, float], models: Sequence[JointPart]) -> Joint:
-        """The same with sigma of the parts that lacked it, and models as they are traced."""
+        """The same parts with these models, and with sigma for the parts that lacked it."""
         parts = {
             part.name: Measured(part.model, own.dataset, sigma.get(part.name, own.sigma))
             for part, own in zip(models, self.parts.values(), strict=True)
@@ -234,25 +247,27 @@ class Joint:
 
     @property
     def _scale(self) -> float:
-        """The standard deviation of all rows, beside which priors count."""
+        """The standard deviation of all rows, which sets the weight of priors."""
         return float(1 / np.sqrt(np.mean(1 / self.dataset[SIGMA] ** 2)))
 
     def _check_estimable(self, rho: Loss | None) -> None:
         if self.lacking and not isinstance(rho, Square | None):
-            raise ValueError(f"{self.lacking[0]}: lacks sigma, which a robust loss needs; give it")
+            raise ValueError(
+                f"{self.lacking[0]}: lacks sigma, which a robust loss needs; give sigma"
+            )
         for name in self.lacking:
             rows, parameters = len(self.parts[name].dataset), len(self.parts[name].model.parameters)
             if rows <= parameters:
                 raise ValueError(
-                    f"{name}: {rows} rows for {parameters} parameters do not tell their sigma; "
-                    "give it"
+                    f"{name}: {rows} rows for {parameters} parameters do not determine sigma; give "
+                    "sigma"
                 )
 
     def _residual_deviations(self, fit: Fit) -> dict[str, float]:
-        """The standard deviations of the parts that lack sigma, by their residuals."""
+        """Standard deviations of the parts that lack sigma, from their residuals."""
         weights, index = fit.problem.weights, self.dataset[PART]
         errors = fit.problem.errors(fit.theta) / (1.0 if weights is None else weights)
-        # Each part's share of the parameters is that of its rows; priors know a part of them.
+        # Parameters count in proportion to the rows of a part; priors supply some of them.
         count = float(fit.theta.size)
         if fit.problem.prior is not None:
             count = errors.size - linearised(fit.problem, fit.theta).freedom
@@ -268,7 +283,7 @@ class Joint:
 
 
 def _check_units(name: str, part: Measured) -> None:
-    """Refuse data in other units than the model's, or without one of its inputs."""
+    """Refuse data that lack an input of the model or have other units."""
     needed = {**part.model.inputs, part.dataset.output: part.model.output}
     for column, unit in needed.items():
         _ = part.dataset[column]
@@ -278,13 +293,13 @@ def _check_units(name: str, part: Measured) -> None:
 
 
 def _size(output: Array) -> float:
-    """The largest number, 1 where all are 0."""
+    """The largest magnitude, or 1 if all numbers are 0."""
     largest = float(np.abs(output).max(initial=0.0))
     return largest if largest > SMALLEST else 1.0
 
 
 def deviations(name: str, part: Measured) -> Array:
-    """Sigma of a part's rows (N,), by default the standard deviation of its output."""
+    """Sigma (N,) of the rows of a part, by default the standard deviation of its output."""
     dataset, sigma = part.dataset, part.sigma
     output = dataset[dataset.output]
     if sigma is None:
@@ -294,8 +309,8 @@ def deviations(name: str, part: Measured) -> Array:
         unit, needed = dataset.units.get(sigma, ""), dataset.units[dataset.output]
         if unit != needed and unit and needed:
             raise ValueError(
-                f"{name}: sigma {sigma!r} has the unit {unit!r}; expected that of "
-                f"{dataset.output!r}, {needed!r}"
+                f"{name}: sigma {sigma!r} has the unit {unit!r}; expected {needed!r}, the unit of "
+                f"{dataset.output!r}"
             )
         values = dataset[sigma]
     elif isinstance(sigma, int | float) and not isinstance(sigma, bool):

@@ -1,4 +1,4 @@
-"""A start from what is known: the best configuration that stands in a journal."""
+"""The best configuration in a journal of evaluations, as a starting point."""
 
 from __future__ import annotations
 
@@ -14,36 +14,39 @@ from miho.models.spread import SpreadModel
 from miho.models.tied import Tied
 
 CLOSE = 1e-9
-"""Tied parameters have a value if theirs differs by less than this share: by rounding."""
+"""Relative difference between values of a tied parameter that counts as rounding."""
 JOURNAL = "journal"
-"""What a start is called that is the best known one."""
+"""The name of the start at the best configuration in the journal."""
 
 
 def check_start(start: str, journal: JournalPath) -> None:
-    """Refuse a start by name that is not one of a journal."""
+    """Raise ValueError for a named start that is not "journal", or without a journal."""
     if start != JOURNAL:
         raise ValueError(f"start is {start!r}; expected numbers by name, or {JOURNAL!r}")
     if journal is None:
-        raise ValueError(f"start is {JOURNAL!r}; give the journal's file as well")
+        raise ValueError(f"start is {JOURNAL!r}; expected a file as journal as well")
 
 
 def best_known(problem: CurveFit) -> dict[str, float]:
-    """The configuration of the smallest loss, without priors, whose evaluation is known.
+    """The configuration in the journal with the smallest loss, without priors.
 
-    The `problem` is one whose evaluations are journaled. Raises ValueError where none is known that
-    keeps bounds and constraints, and for a model that is made of several.
+    The evaluations of `problem` are journaled. Raises ValueError if no configuration in the journal
+    satisfies bounds and constraints, and for a model with several parts.
     """
     leaves = dear_leaves(problem.model)
     if len(leaves) != 1 or not isinstance(leaves[0], SpreadModel):
-        raise ValueError(f"start: {problem.name} is not one model that may be dear; give numbers")
+        raise ValueError(
+            f"start: expected a single model whose evaluations are journaled, got {problem.name}; "
+            "give numbers"
+        )
     thetas, outputs = leaves[0].known(*problem.inputs)
     for k in np.argsort(problem.losses_of(outputs), kind="stable") if len(thetas) else ():
         values = dict(zip(leaves[0].parameters, thetas[k].tolist(), strict=True))
         if _is_allowed(problem, values):
             return values
     raise ValueError(
-        f"start: the journal knows no configuration of {problem.name} within the bounds that has a "
-        "value; give numbers, or none to search"
+        f"start: the journal has no configuration of {problem.name} within the bounds with a "
+        "finite value; give numbers, or no start to search"
     )
 
 
@@ -55,7 +58,7 @@ def _is_allowed(problem: CurveFit, values: dict[str, float]) -> bool:
     else:
         try:
             theta = free_values(space, model.ties, values)
-        except (KeyError, ValueError):  # it was of other ties
+        except (KeyError, ValueError):  # its ties differ
             return False
         whole = dict(zip(model.ties.names, model.ties.values(theta[None])[0], strict=True))
         if not all(math.isclose(whole[name], values[name], rel_tol=CLOSE) for name in values):
