@@ -1,4 +1,4 @@
-"""Rows that could be measured next: of tables, datasets or grids, in groups or one by one."""
+"""Candidate rows of a design: from tables, datasets or grids, in groups or one by one."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from miho.models.model import Model
 from miho.quantities import Array
 
 Candidates = pd.DataFrame | Dataset | Mapping[str, Array]
-"""Rows that could be measured; or levels of each input, of which each combination is a row."""
+"""Rows that could be measured, or levels of each input, whose combinations are the rows."""
 
 
 def candidate_rows(model: Model, candidates: Candidates) -> pd.DataFrame:
-    """The candidates as rows; raises ValueError where they do not fit the model."""
+    """The candidates as rows; raises ValueError if they do not fit the model."""
     if isinstance(candidates, Dataset):
         frame = pd.DataFrame(dict(candidates.columns))
         for name, unit in model.inputs.items():
             if candidates.units.get(name, unit) != unit:
                 raise ValueError(
-                    f"candidates: {name!r} is in {candidates.units[name]}; the model takes {unit}"
+                    f"candidates: {name!r} is in {candidates.units[name]}; expected {unit}, the "
+                    "unit of the model"
                 )
     elif isinstance(candidates, pd.DataFrame):
         frame = candidates.reset_index(drop=True)
@@ -34,37 +35,40 @@ def candidate_rows(model: Model, candidates: Candidates) -> pd.DataFrame:
     missing = [name for name in model.inputs if name not in frame.columns]
     if missing or frame.empty:
         raise ValueError(
-            f"candidates: {'no column ' + repr(missing[0]) if missing else 'no rows'}; give rows "
-            f"with all inputs of the model, {', '.join(model.inputs)}"
+            f"candidates: {'no column ' + repr(missing[0]) if missing else 'no rows'}; expected "
+            f"rows with all inputs of the model, {', '.join(model.inputs)}"
         )
     for name in model.inputs:
         values = pd.to_numeric(frame[name], errors="coerce").to_numpy(float)
         if not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values))[0])
             raise ValueError(
-                f"candidates: {name!r} in row {row} (from 0) is {frame[name].iloc[row]!r}; give a "
-                "finite number"
+                f"candidates: {name!r} in row {row} (from 0) is {frame[name].iloc[row]!r}; "
+                "expected a finite number"
             )
         frame = frame.assign(**{name: values})
     return frame
 
 
 def group_numbers(model: Model, frame: pd.DataFrame, groups: str | None) -> NDArray[np.intp]:
-    """The group of each candidate (m,), numbered from 0; each row is its own without `groups`."""
+    """The group of each candidate (m,), from 0; without `groups` each row is a group."""
     if groups is None:
         if model.ordered:
             raise ValueError(
-                "groups is None, and the model needs rows in order; name the column that numbers "
-                "the manoeuvres to choose from"
+                "groups is None; expected the column that numbers the manoeuvres, because the "
+                "model needs rows in order"
             )
         return np.arange(len(frame))
     if groups not in frame.columns:
-        raise ValueError(f"groups is {groups!r}; columns are {', '.join(map(str, frame.columns))}")
+        raise ValueError(
+            f"groups is {groups!r}; expected one of the columns "
+            f"{', '.join(map(str, frame.columns))}"
+        )
     return np.asarray(pd.factorize(frame[groups])[0], dtype=np.intp)
 
 
 def derivatives(model: Model, theta: Array, rows: pd.DataFrame, group: NDArray[np.intp]) -> Array:
-    """Derivatives (m, d) of predictions; a model with a memory sees each group by itself."""
+    """Derivatives (m, d) of predictions; a model that needs rows in order gets single groups."""
     columns = [rows[name].to_numpy(float) for name in model.inputs]
     if model.ordered:
         J = np.empty((len(rows), theta.size))
@@ -76,7 +80,7 @@ def derivatives(model: Model, theta: Array, rows: pd.DataFrame, group: NDArray[n
     if not np.isfinite(J).all():
         row = int(np.flatnonzero(~np.isfinite(J).all(axis=1))[0])
         raise ValueError(
-            f"candidate row {row} (from 0): the model's derivatives are not finite there; leave "
-            "it out"
+            f"candidates: the derivatives of the model are not finite in row {row} (from 0); "
+            "remove the row"
         )
     return J

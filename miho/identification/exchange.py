@@ -1,9 +1,9 @@
-"""Choosing rows that tell the most about parameters: greedy, then by exchange.
+"""Choosing the most informative rows: a greedy choice, improved by exchanges.
 
 Fedorov (Theory of Optimal Experiments, 1972, Ch. 3) exchanges rows of a design for candidates as
-long as the determinant of the information grows; Cook and Nachtsheim (Technometrics 22, 1980, p.
-315) go through the rows in turn and take for each the best candidate, which is as good and far
-cheaper. Whole groups of rows, such as sweeps, are exchanged in the same way.
+long as the determinant of the information grows. Cook and Nachtsheim (Technometrics 22, 1980, p.
+315) replace each row in turn by the best candidate, which is as good and much faster. Groups of
+rows, for example sweeps, are exchanged as a whole.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from numpy.typing import NDArray
 from miho.quantities import Array
 
 PASSES = 20
-"""Times through the whole selection at most; it is usually stable after two or three."""
+"""Largest number of passes through the selection, which is usually stable after two or three."""
 BETTER = 1e-9
-"""An exchange that gains less than this fraction of what a row gains is rounding."""
+"""An exchange that gains less than this fraction of the gain of a row is rounding."""
 ENOUGH = 1e-4
-"""A pass that lowers the criterion, a logarithm, by less is the last: on a fine grid rows would
-move to a neighbour for long."""
+"""A pass is the last one if it lowers the criterion, a logarithm, by less: on a fine grid, rows
+would continue to move to neighbours for long."""
 
 
 class Information:
-    """What is known of parameters z (r,), and what blocks of rows would add to it.
+    """The information on parameters z (r,), and the gain from each block of rows.
 
-    The errors of present estimates are independent and of unit variance, and so are those of the
-    rows: `blocks` (G, k, r) are derivatives by z, of k rows at most in each of G groups (rows of
-    zeros fill up smaller ones). `target` (r,) is the gradient of the one quantity whose variance
-    is to be small; None: the determinant of all of the covariance is.
+    Errors of present estimates and of rows are independent and have unit variance. `blocks`
+    (G, k, r) are derivatives with respect to z, with up to k rows in each of G groups; rows of
+    zeros pad smaller groups. `target` (r,) is the gradient of the quantity whose variance is
+    minimised; None minimises the determinant of the covariance.
     """
 
     def __init__(self, blocks: Array, target: Array | None = None) -> None:
@@ -39,7 +39,7 @@ class Information:
         self.renew(np.zeros(len(blocks), dtype=np.intp))
 
     def renew(self, counts: NDArray[np.intp]) -> None:
-        """Begin anew, with each block added as often as `counts` (G,), which leaves no rounding."""
+        """Restart with each block added `counts` (G,) times, which removes accumulated rounding."""
         used = np.flatnonzero(counts)
         rows = np.sqrt(counts[used])[:, None, None] * self._blocks[used]
         _, s, Vt = np.linalg.svd(rows.reshape(-1, self._blocks.shape[2]))
@@ -53,13 +53,13 @@ class Information:
 
     @property
     def criterion(self) -> float:
-        """What is to be small: ln of the determinant of the covariance, or of the variance."""
+        """The minimised quantity: ln of the determinant of the covariance, or of the variance."""
         if self._target is None:
             return float(np.linalg.slogdet(self._covariance)[1])
         return math.log(float(self._target @ self._covariance @ self._target))
 
     def gains(self) -> Array:
-        """How much each block (G,) would add: ln of the determinant, or fall of the variance."""
+        """The gain from each block (G,): in ln of the determinant, or the fall of the variance."""
         k = self._blocks.shape[1]
         measured = self._predicted + np.eye(k)
         if self._target is None:
@@ -71,12 +71,12 @@ class Information:
         return np.asarray((self._by_target * solved).sum(axis=1))
 
     def add(self, group: int, sign: int = 1) -> None:
-        """Add a block, or take it away with sign -1 (Sherman, Morrison and Woodbury)."""
+        """Add a block, or remove it with sign -1 (Sherman, Morrison and Woodbury)."""
         block = self._blocks[group]
         projected = self._covariance @ block.T
         inverse = np.linalg.inv(sign * np.eye(len(block)) + block @ projected)
         self._covariance = self._covariance - projected @ inverse @ projected.T
-        # The covariance of each prediction (G, k) with those of the block.
+        # Covariances of all predictions (G, k) with the predictions of the block.
         shared = (self._rows @ projected).reshape(*self._blocks.shape[:2], -1)
         if self._target is not None:
             self._by_target = self._by_target - shared @ (inverse @ self._by_target[group])
@@ -86,11 +86,11 @@ class Information:
 def best_groups(
     blocks: Array, size: int, target: Array | None = None, repeats: int = 1
 ) -> NDArray[np.intp]:
-    """How often to take each group (G,): `size` in all, each at most `repeats` times.
+    """Number of times (G,) to choose each group: `size` in total, each at most `repeats` times.
 
-    Blocks and target as in `Information`. A local optimum, in which exchanges of one group for
-    another hardly gain anything. For a target, whose rows may tell little one by one, it is the
-    better of two: from rows that are added for the target, and from those for all parameters.
+    `Information` documents `blocks` and `target`. The result is a local optimum: no exchange of one
+    group for another gains much. Single rows may say little about a target, so the result is then
+    the better of two: from rows added for the target, and from rows added for all parameters.
     """
     nothing = np.zeros(len(blocks), dtype=np.intp)
     for_all = _added(Information(blocks), nothing, size, repeats)
@@ -108,7 +108,7 @@ def best_groups(
 def _added(
     information: Information, counts: NDArray[np.intp], size: int, repeats: int
 ) -> NDArray[np.intp]:
-    """`size` groups more, one after the other the best."""
+    """Add `size` groups, each time the best one."""
     counts = counts.copy()
     information.renew(counts)
     for _ in range(size):
@@ -121,7 +121,7 @@ def _added(
 def _exchanged(
     information: Information, counts: NDArray[np.intp], repeats: int
 ) -> NDArray[np.intp]:
-    """Each group in turn replaced by the best one, until that gains hardly anything."""
+    """Replace each group in turn by the best one, until that gains hardly anything."""
     counts = counts.copy()
     information.renew(counts)
     for _ in range(PASSES):

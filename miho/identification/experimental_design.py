@@ -1,8 +1,8 @@
-"""Optimal experimental design: which of many possible rows to measure next.
+"""Optimal experimental design: the choice of rows to measure next.
 
-The expected covariance after a choice is that of the linearised model with the present rows and the
-chosen ones (Fedorov, Theory of Optimal Experiments, 1972): D-optimal rows make its determinant
-small, c-optimal ones the variance of one parameter or derived quantity.
+The expected covariance follows from the linearised model with the present and the chosen rows
+(Fedorov, Theory of Optimal Experiments, 1972). D-optimal rows minimise its determinant, c-optimal
+rows the variance of one parameter or derived quantity.
 """
 
 from __future__ import annotations
@@ -35,13 +35,28 @@ from miho.validate import whole
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Rows to measure next, and what they would tell.
+    """Rows to measure next, and the intervals to expect; `optimal_design` makes it.
 
-    `candidates` (m rows) has the model's inputs in their SI units, `group` (m,) the number of the
-    group, from 0, that is measured as a whole, and `counts` (G,) how often each is chosen. `groups`
-    is the column that numbers the groups, None if each row is one; `goal` the parameter or derived
-    quantity that the choice is for, "" for all parameters. `gradients` (q, d) are the derivatives
-    of the `quantities` (q rows).
+    Printing shows the advice, a table of intervals, and the assumptions.
+
+    Parameters
+    ----------
+    report : Report
+        The report on the present data.
+    candidates : DataFrame
+        The m candidate rows with all inputs of the model, in SI units.
+    group : ndarray of shape (m,)
+        The group of each candidate, from 0. A group is measured as a whole.
+    counts : ndarray of shape (G,)
+        Number of times that each group is chosen.
+    goal : str
+        The parameter or derived quantity of interest; empty for all parameters.
+    groups : str, optional
+        The column that numbers the groups; None if each row is a group.
+    quantities : DataFrame
+        The q quantities of interest, one per row: free parameters and derived quantities.
+    gradients : ndarray of shape (q, d)
+        Derivatives of the quantities with respect to the parameters.
     """
 
     report: Report
@@ -55,23 +70,23 @@ class Design:
 
     @cached_property
     def chosen(self) -> pd.DataFrame:
-        """The candidates to measure, with their row numbers as the index; repeated ones again."""
+        """The rows to measure, with row numbers of the candidates as index; rows may repeat."""
         return self.candidates.iloc[np.repeat(np.arange(len(self.group)), self._times)]
 
     @property
     def _times(self) -> NDArray[np.intp]:
-        """How often each candidate row is measured, (m,)."""
+        """Number of times (m,) that each candidate row is measured."""
         return np.asarray(self.counts[self.group])
 
     @cached_property
     def undeterminable(self) -> list[str]:
-        """The quantities that stay open even if every candidate is measured."""
+        """The quantities that all candidates together do not determine."""
         at_best = self._after(np.ones(len(self.group))).spread(self.gradients)
         return list(self.quantities["quantity"][np.isinf(at_best)])
 
     @cached_property
     def _derivatives(self) -> tuple[Array, Array]:
-        """Those of the present rows (N, d) and of the candidates (m, d)."""
+        """Derivatives of weighted predictions, for present rows (N, d) and candidates (m, d)."""
         problem, at = self.report.problem, self.report.at
         return (
             problem.error_slopes(at.theta),
@@ -81,7 +96,7 @@ class Design:
 
     @property
     def _weights(self) -> Array:
-        """What errors of the candidates are multiplied by, (m,): in a joint model as its part's."""
+        """Weights (m,) of the errors of candidates: in a joint model, the weights of their part."""
         problem, rows = self.report.problem, self.candidates
         if problem.weights is None or PART not in rows:
             return np.ones(len(rows))
@@ -90,19 +105,19 @@ class Design:
         strange = index[~np.isin(index, known)]
         if strange.size:
             raise ValueError(
-                f"candidates: {PART!r} is {strange[0]:g}; expected 0 to {known[-1]:g}, a "
-                "part's place among them"
+                f"candidates: {PART!r} is {strange[0]:g}; expected the number of a part, 0 to "
+                f"{known[-1]:g}"
             )
         squares = np.array([np.mean(problem.weights[part == k] ** 2) for k in known])
         return np.asarray(np.sqrt(squares)[np.searchsorted(known, index)])
 
     @cached_property
     def expected(self) -> Linearised:
-        """The uncertainty of the optimum after the chosen rows, errors being independent."""
+        """The uncertainty of the optimum after the chosen rows, for independent errors."""
         return self._after(self._times.astype(float))
 
     def _after(self, weights: Array) -> Linearised:
-        """The same with each candidate (m,) measured so many times."""
+        """The uncertainty after each candidate was measured `weights` (m,) times."""
         present, candidates = self._derivatives
         used = weights > 0
         rows = np.sqrt(weights[used])[:, None] * candidates[used]
@@ -110,13 +125,13 @@ class Design:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A row per parameter that is not at a bound and per derived quantity.
+        """A row per derived quantity and per parameter that is not at a bound.
 
-        Its value, and half widths of the interval at the report's level: `present`, `expected`
-        after the chosen rows, and `evenly` after as many that are spread evenly over all
-        candidates. The same in % of the value, NaN where that is not larger than the half width.
-        Present half widths are the report's linearised ones; the expected ones are narrower by the
-        factor that holds for errors that are independent.
+        Columns: value, and half widths of the interval at the level of the report: `present`,
+        `expected` after the chosen rows, and `evenly` after the same number of rows, spread evenly
+        over all candidates. Further columns give half widths in % of the value, NaN unless the
+        value is larger than the half width. Present half widths are the linearised ones of the
+        report. Expected ones are narrower by the factor that holds for independent errors.
         """
         at, level = self.report.at, self.report.level
         size = self._times.sum()
@@ -139,10 +154,10 @@ class Design:
 
     @cached_property
     def gains(self) -> pd.DataFrame:
-        """By how many % each candidate alone (or each group) would narrow each quantity.
+        """Reduction in % of the half width of each quantity by each candidate (or group) alone.
 
-        Rows are the first candidates of the groups. Of what the present data do not determine: of
-        the range in the space.
+        Rows are the first candidates of the groups. For directions that the present data do not
+        determine, the reduction is relative to the range in the space.
         """
         blocks, root = _whitened(self.report, *self._derivatives, self.group)
         frame = self.candidates.iloc[np.unique(self.group, return_index=True)[1]].copy()
@@ -155,7 +170,7 @@ class Design:
 
     @property
     def rows(self) -> pd.DataFrame:
-        """Present, candidate and chosen rows below each other, to draw: the inputs, with units."""
+        """Inputs of present, candidate and chosen rows, for a figure; names include the units."""
         inputs = self.report.problem.model.inputs
         parts = {
             "present": pd.DataFrame(dict(zip(inputs, self.report.problem.inputs, strict=True))),
@@ -167,7 +182,7 @@ class Design:
         return frame.rename(columns=names).reset_index(drop=True)
 
     def __str__(self) -> str:
-        """The advice in words, the table, and what they rest on."""
+        """The advice, the table, and the assumptions."""
         notes = "\n".join(f"- {sentence}" for sentence in assumptions(self))
         return "\n\n".join([advice(self), table_text(self), notes])
 
@@ -181,17 +196,43 @@ def optimal_design(
     groups: str | None = None,
     repeats: int = 1,
 ) -> Design:
-    """The `size` of the candidates that tell the most, in addition to the data of the report.
+    """Choose the rows whose measurement narrows the intervals of a report most.
 
-    Candidates are rows with all inputs of the model, in its units: a table or a dataset, or a
-    mapping of each input to its levels, of which every combination is a candidate. `goal` names
-    the parameter or the derived quantity that is to be known better; by default it is all
-    parameters. Rows with the same value in the column `groups` are measured together, such as one
-    sweep; `size` counts groups then. Each is chosen up to `repeats` times.
+    The model is linearised at the optimum of the report, and new errors have the present standard
+    deviation. For a large campaign, choose a part of the rows, measure, fit, and choose again.
 
-    Linearised at the report's optimum, with errors as large as the present ones: choose a part of
-    a large campaign, measure, fit, and choose again. Raises ValueError for candidates or a goal
-    that do not fit.
+    Parameters
+    ----------
+    report : Report
+        The report on the present data.
+    candidates : DataFrame, Dataset or mapping of str to array_like
+        Possible rows with all inputs of the model, in its units. A mapping gives the levels of each
+        input, and every combination is a candidate.
+    size : int
+        Number of rows to choose, or of groups with `groups`.
+    goal : str, optional
+        The parameter or derived quantity of interest. By default all parameters, by the
+        determinant of their covariance (D-optimality).
+    groups : str, optional
+        A column of the candidates. Rows with the same value are measured together, for example one
+        sweep.
+    repeats : int, optional
+        Largest number of times that each row or group is chosen.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    ValueError
+        If candidates lack an input or have numbers that are not finite, if the goal is unknown, if
+        there are fewer candidates than `size`, or if the data have no noise.
+
+    References
+    ----------
+    Fedorov, Theory of Optimal Experiments, 1972.
+    Cook and Nachtsheim, Technometrics 22, 1980, p. 315.
     """
     problem, at = report.problem, report.at
     frame = candidate_rows(problem.model, candidates)
@@ -209,25 +250,25 @@ def optimal_design(
 
 
 def _check(problem: CurveFit, at: Linearised, count: int, size: int, repeats: int) -> None:
-    """Raise ValueError if so many cannot be chosen of `count`, or if there is nothing to gain."""
+    """Raise ValueError if there are fewer than `size` choices, or if the data have no noise."""
     whole("size", size, 1)
     whole("repeats", repeats, 1)
     if size > count * repeats:
         raise ValueError(
-            f"size is {size}, more than the {count} candidates, each up to {repeats} times; choose "
-            "fewer, or set repeats"
+            f"size is {size}; expected at most {count * repeats}, as each of {count} candidates is "
+            f"chosen up to {repeats} times; choose fewer, or raise repeats"
         )
     if at.noise <= rounding_of(problem):
         raise ValueError(
-            f"{problem.name}: every row is reproduced to rounding, so there is no noise that "
-            "further rows could average out"
+            f"{problem.name}: every row is reproduced to rounding; expected data with noise, which "
+            "further rows average out"
         )
 
 
 def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
-    """The uncertainty of an optimum by derivatives J (N, d) of all rows, `more` of them new.
+    """The uncertainty of an optimum from derivatives J (N, d) of all rows, with `more` new ones.
 
-    Errors are independent and as large as `at` has them.
+    Errors are independent and have the standard deviation of `at`.
     """
     root = inverse_root(J, np.flatnonzero(~at.at_bound))
     covariance = at.noise**2 * root.half @ root.half.T
@@ -244,10 +285,10 @@ def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
 def _whitened(
     report: Report, present: Array, candidates: Array, group: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Blocks (G, k, r) for `Information`, and the root (d, r): parameters are root @ z.
+    """Blocks (G, k, r) for `Information`, and the root (d, r) with parameters = root @ z.
 
-    The present estimates of z are independent and of unit variance. A direction that the present
-    rows do not see is known within the space only, as far as it leads from bound to bound.
+    The present estimates of z are independent and have unit variance. The standard deviation along
+    a direction that the present rows do not determine is its length from bound to bound.
     """
     at, space = report.at, report.problem.space
     half, _, null, moved = inverse_root(present, np.flatnonzero(~at.at_bound))
@@ -260,7 +301,7 @@ def _whitened(
     most = max(len(part) for part in parts)
     if most == 1:
         return rows[np.argsort(group, kind="stable")][:, None, :], root
-    # The triangular factor of a group tells as much as its rows, in r rows at most.
+    # The triangular factor of a group, of at most r rows, has the information of all its rows.
     blocks = np.zeros((len(parts), min(most, root.shape[1]), root.shape[1]))
     for block, part in zip(blocks, parts, strict=True):
         triangle = np.linalg.qr(part, mode="r")
@@ -269,7 +310,7 @@ def _whitened(
 
 
 def _quantities(problem: CurveFit, at: Linearised) -> tuple[pd.DataFrame, Array]:
-    """What can be asked for, and its gradients (q, d): free parameters and derived quantities."""
+    """Free parameters and derived quantities as a table, and their gradients (q, d)."""
     rows, gradients = [], []
     space, reported = reported_space(problem.space), reported_uncertainty(problem, at)
     slopes = reported_slopes(problem, at.theta)

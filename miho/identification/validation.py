@@ -1,4 +1,4 @@
-"""Validation: errors on rows that a fit has not seen, and trends that are left in the errors."""
+"""Validation: errors on rows that a fit did not use, and trends in the errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
@@ -25,24 +25,25 @@ MOST_LEVELS = 12
 """A condition with more levels than this is split into BINS groups of equal size."""
 BINS = 5
 FINE = 15
-"""Groups of the first input, finer because the errors may wave along it."""
+"""Number of groups of the first input, larger because errors may oscillate along it."""
 ROWS = 10
-"""A group has this many rows at least, where there is a choice."""
+"""Smallest number of rows of a group, if there is a choice."""
 UNMODELLED, CHANCE = 0.1, 1e-3
-"""A column that explains this fraction of the errors' variance is mentioned, if chance alone would
-explain as much with a smaller probability than this."""
+"""A column is mentioned if it explains more than this fraction of the error variance, and if chance
+alone would do so with a smaller probability than this."""
 OR_DRIFT = (
-    "or the measurement drifts in addition to its noise; take {name} in another order to tell"
+    "or the measurement drifts in addition to its noise; repeat the measurement with {name} in "
+    "another order to decide"
 )
 
 Groups = NDArray[np.intp]
 """The group of each row (N,)."""
 _Grouping = tuple[str, Groups, Groups]
-"""A column, its groups of rows, and the coarser ones beyond which they explain errors."""
+"""A column, its groups of rows, and coarser groups to compare with."""
 
 
 def root_mean_square(values: Array) -> float:
-    """Root of the mean square."""
+    """Square root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -52,20 +53,19 @@ def error_on(problem: CurveFit, theta: Array, dataset: Dataset) -> float:
 
 
 def conditions(problem: CurveFit) -> list[str]:
-    """The columns that say under which conditions a row was measured.
+    """The columns that describe the conditions of a measurement.
 
-    They are all but the output, its sigma, and the model's first input, whether or not they are
-    inputs too.
+    These are all columns except the output, its sigma, and the first input of the model.
     """
     others = next(iter(problem.model.inputs)), problem.dataset.output, problem.sigma
     return [name for name in problem.dataset.columns if name not in others]
 
 
 def levels(values: Array) -> list[Array]:
-    """The levels at which a condition was set: groups (n,) of close values, in rising order.
+    """The levels of a condition: groups (n,) of close values, in ascending order.
 
     Measured levels scatter, so values belong to one level if they are much closer to each other
-    than to the next level. Empty for a condition that varies continuously.
+    than to the next level. The list is empty for a condition that varies continuously.
     """
     ordered = np.unique(values)
     gaps = np.diff(ordered)
@@ -79,7 +79,7 @@ def levels(values: Array) -> list[Array]:
 
 
 def groups(values: Array, bins: int = BINS) -> NDArray[np.intp]:
-    """The group of each row (N,): its level, or one of `bins` with equal numbers of rows."""
+    """The group of each row (N,): its level, or one of `bins` groups of equal size."""
     if bins < 2:
         return np.zeros(values.size, dtype=np.intp)
     separate_levels = levels(values)
@@ -98,12 +98,35 @@ def leave_one_out(
     deadline: Deadline | None = None,
     pool: Pool | None = None,
 ) -> pd.DataFrame:
-    """Fit without one group of a condition, and the error on that group; a row per group.
+    """Errors on each group of a condition, from a fit without the group.
 
-    Columns: condition, from, to and unit (of the group), rows, error of all rows
-    on the group, error of the fit that has not seen it (both in the output's unit). The workers of
-    a `pool` make the fits where they take long. Raises OutOfTimeError after the deadline, and
-    WorkerLostError where a worker ended.
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    theta : ndarray of shape (d,)
+        Its optimum, the start of all fits.
+    condition : str
+        The column that defines the groups.
+    held : sequence of int
+        Positions of parameters that do not change.
+    deadline : Deadline, optional
+        The time limit.
+    pool : Pool, optional
+        Workers for expensive fits.
+
+    Returns
+    -------
+    DataFrame
+        A row per group: condition, range and unit of the group, number of rows, error on the group
+        at the optimum, and error of the fit without the group, both in the unit of the output.
+
+    Raises
+    ------
+    OutOfTimeError
+        After the deadline.
+    WorkerLostError
+        If a worker is lost.
     """
     dataset = problem.dataset
     values = dataset[condition]
@@ -153,14 +176,27 @@ class _Without:
 
 
 def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = None) -> pd.DataFrame:
-    """How much of the errors' variance each column explains, by the means of groups of rows.
+    """The share of the error variance that each column explains, by means of groups of rows.
 
-    The first input stands alone; another column together with it, because what a load does to
-    the force has the sign of the slip. Columns: column, whether it is an input, explained (0 to
-    1, epsilon squared), and p, how often chance alone explains as much: of errors that are
-    independent (F test of the groups), and of errors that depend on those of neighbouring rows as
-    much as the uncertainty `at` the optimum says, which is tested where the first is a finding.
-    What a column that is not an input explains is error no fit of this model can remove.
+    The first input forms groups alone. Other columns form groups together with it, because the
+    effect of a load, for example, has the sign of the slip. No fit of this model can remove errors
+    that a column explains which is not an input.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    theta : ndarray of shape (d,)
+        Its optimum.
+    at : Linearised, optional
+        Its uncertainty, with the dependence of neighbouring rows.
+
+    Returns
+    -------
+    DataFrame
+        A row per column: whether it is an input, the explained share (0 to 1, epsilon squared), and
+        p values for independent errors (F test of the groups) and for errors that depend on
+        neighbouring rows. The second test is made if the first one is significant.
     """
     errors, dataset = problem.errors(theta), problem.dataset
     first = next(iter(problem.model.inputs))
@@ -184,12 +220,12 @@ def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = Non
 
 
 def is_finding(explained: float, p: float) -> bool:
-    """Whether errors follow a column so closely that it is mentioned."""
+    """Whether the share that a column explains is large and significant enough to mention."""
     return explained > UNMODELLED and p < CHANCE
 
 
 def in_a_sweep(problem: CurveFit, name: str) -> bool:
-    """Whether drift follows a column too, as where rows are ordered along it, once or twice."""
+    """Whether drift would follow a column too, because rows are ordered along it."""
     column, series = problem.dataset[name], series_of(problem)
     shares = [_share_of_drift(column[own]) for own in series]
     weights = [column[own].size for own in series]
@@ -197,17 +233,17 @@ def in_a_sweep(problem: CurveFit, name: str) -> bool:
 
 
 def _share_of_drift(values: Array) -> float:
-    """How much of the variance of a random walk over rows (n,) groups of these values explain.
+    """The share of the variance of a random walk over rows (n,) that groups of `values` explain.
 
-    0.93 for a sweep of many rows, 0.23 for one up and down, 0.1 for three, about 0 at random. Sums
-    of squares are those that are expected of a walk of steps of variance 1.
+    It is 0.93 for a sweep of many rows, 0.23 for one sweep up and down, 0.1 for three, and about 0
+    for random order. Sums of squares are expected values for steps of variance 1.
     """
     n = values.size
     index = groups(values, min(FINE, n // ROWS))
     members = [index == group for group in np.unique(index)]
     if len(members) < 2:
         return 0.0
-    # The sum of a walk over some rows is that of its steps, times how many of the rows follow each.
+    # The sum of a walk over some rows weighs each step by the number of these rows that follow it.
     of_mean, *of_groups = (
         np.sum(np.cumsum(rows[::-1], dtype=float) ** 2) / rows.sum()
         for rows in (np.ones(n, dtype=bool), *members)
@@ -220,10 +256,7 @@ def _share_of_drift(values: Array) -> float:
 def _chance_beside_neighbours(
     problem: CurveFit, at: Linearised, fine: Groups, coarse: Groups
 ) -> float:
-    """How often errors that depend on those of neighbouring rows follow a grouping as closely.
-
-    0 where they do not: chance is then that of independent rows.
-    """
+    """P value of a grouping for errors that depend on neighbouring rows; 0 if they do not."""
     dependence, series = at.dependence, series_of(problem)
     if dependence is None and not alike_beside_priors(problem, at.theta):
         return 0.0
@@ -238,12 +271,12 @@ def _chance_beside_neighbours(
 
 
 def _members(index: Groups) -> Array:
-    """Which rows (N,) are of each group, as columns (N, k) of 0 and 1."""
+    """Membership of rows in groups, as columns (N, k) of 0 and 1."""
     return np.asarray(index[:, None] == np.unique(index), dtype=float)
 
 
 def _explained(errors: Array, index: Groups, coarse: Groups) -> tuple[float, float]:
-    """Epsilon squared (Kelley 1935) of a grouping beyond a coarser one, and its p value."""
+    """Epsilon squared (Kelley 1935) of a grouping relative to a coarser one, and its p value."""
     n = errors.size
     (fine_sum, k), (coarse_sum, j) = _between_groups(errors, index), _between_groups(errors, coarse)
     total = float(np.sum((errors - errors.mean()) ** 2))

@@ -112,7 +112,7 @@ def test_what_cannot_be_advised_is_said_in_one_line(
 ) -> None:
     with pytest.raises(ConfigError, match="goal is 'X'; choose from B; C; D"):
         called(monkeypatch, folder, "--rows", 40, "--goal", "X")
-    with pytest.raises(ConfigError, match="size is 301, more than the 300 candidates"):
+    with pytest.raises(ConfigError, match="size is 301; expected at most 300"):
         called(monkeypatch, folder, "--rows", 301)
     with pytest.raises(CSVError, match="no column 'sweep' in the header"):
         called(monkeypatch, folder, "--rows", 2, "--groups", "sweep")

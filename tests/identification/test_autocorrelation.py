@@ -249,7 +249,7 @@ def test_drift_under_the_noise_of_a_sensor_may_be_the_reason(triangular: bool, s
     problem = line(1 + 2 * x + noise, x)
     report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
     assert any(
-        "wrong shape, or the measurement drifts in addition to its noise; take x in another order"
+        "wrong shape, or the measurement drifts in addition to its noise; repeat the measurement"
         in note
         for note in report.notes
     )

@@ -217,7 +217,7 @@ def test_errors_that_follow_a_column_are_no_noise() -> None:
     x = np.linspace(0, 1, 300)  # one sweep, along which drift would show as well
     noise = 0.02 * np.random.default_rng(0).standard_normal(300)
     swept = optimal_design(quick(line(np.sin(6 * x) + noise, x), [0.0, 0.0]), {"x": [1.0]}, 1)
-    assert "or the measurement drifts in addition to its noise; take x in another" in str(swept)
+    assert "or the measurement drifts in addition to its noise; repeat the measure" in str(swept)
 
 
 def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:
@@ -225,23 +225,27 @@ def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:
     rows = pd.DataFrame({"u": 0.7, "v": [1.0, 1.0, 1.0, 0.5, -0.5, 2.0], "run": [0, 0, 0, 1, 1, 1]})
     design = optimal_design(report, rows, 1, goal="b", groups="run")
     assert design.chosen["run"].tolist() == [0, 0, 0]  # sums 1, 2, 3 against 0.5, 0, 2
-    with pytest.raises(ValueError, match="needs rows in order; name the column"):
+    with pytest.raises(ValueError, match="expected the column that numbers the manoeuvres"):
         optimal_design(report, rows, 1)
 
 
 @pytest.mark.parametrize(
     ("candidates", "settings", "message"),
     [
-        ({"z": [1.0]}, {}, "candidates: no column 'x'; give rows with all inputs of the model, x"),
+        (
+            {"z": [1.0]},
+            {},
+            "candidates: no column 'x'; expected rows with all inputs of the model, x",
+        ),
         (pd.DataFrame({"x": []}), {}, "candidates: no rows"),
-        (pd.DataFrame({"x": [1, "b"]}), {}, r"'x' in row 1 \(from 0\) is 'b'; give a finite"),
-        ({"x": ["b"]}, {}, r"'x' in row 0 \(from 0\) is 'b'; give a finite"),
+        (pd.DataFrame({"x": [1, "b"]}), {}, r"'x' in row 1 \(from 0\) is 'b'; expected a finite"),
+        ({"x": ["b"]}, {}, r"'x' in row 0 \(from 0\) is 'b'; expected a finite"),
         ({"x": [1.0, np.inf]}, {}, r"'x' in row 1 \(from 0\) is (np.float64\()?inf"),
         ({"x": [1.0]}, {"size": 0}, "size is 0; expected a whole number of at least 1"),
-        ({"x": [1.0]}, {"size": 2}, "size is 2, more than the 1 candidates"),
+        ({"x": [1.0]}, {"size": 2}, "size is 2; expected at most 1, as each of 1 candidates"),
         ({"x": [1.0]}, {"repeats": 0}, "repeats is 0"),
         ({"x": [1.0]}, {"goal": "c"}, "goal is 'c'; choose from a; b; or None for all"),
-        ({"x": [1.0]}, {"groups": "sweep"}, "groups is 'sweep'; columns are x"),
+        ({"x": [1.0]}, {"groups": "sweep"}, "groups is 'sweep'; expected one of the columns x"),
     ],
 )
 def test_bad_input(candidates: object, settings: dict[str, object], message: str) -> None:
@@ -252,7 +256,7 @@ def test_bad_input(candidates: object, settings: dict[str, object], message: str
 
 def test_candidates_in_other_units_and_data_without_noise() -> None:
     rows = Dataset("more", {"x": np.array([1.0, 2.0])}, {"x": "m"}, "x")
-    with pytest.raises(ValueError, match="'x' is in m; the model takes -"):
+    with pytest.raises(ValueError, match="'x' is in m; expected -, the unit of the model"):
         optimal_design(straight_line(), rows, 1)
     x = np.linspace(0, 1, 5)
     exact = quick(line(1 + 2 * x, x), [1.0, 2.0])

@@ -259,7 +259,7 @@ def test_a_wrong_shape_is_told() -> None:
     problem = line(np.sin(6 * x) + noise, x)
     report = make_report(problem, refit(problem, np.zeros(2)).theta)
     (note,) = (note for note in report.notes if "the model has the wrong shape" in note)
-    assert note.endswith("drifts in addition to its noise; take x in another order to tell.")
+    assert note.endswith("repeat the measurement with x in another order to decide.")
     assert any("times the irreducible error" in note for note in report.notes)
 
 
