@@ -1,4 +1,4 @@
-"""Errors that depend on those of the rows before: a test, a model, and what they leave to sums."""
+"""Errors that depend on the errors of previous rows: a test, a model, and variances of sums."""
 
 from __future__ import annotations
 
@@ -8,52 +8,56 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.quantities import Array
 
 HIGHEST_ORDER = 20
 ROWS_PER_COEFFICIENT = 8
-"""Rows beyond the parameters that each coefficient of an autoregressive model needs at least."""
+"""Smallest number of degrees of freedom for each coefficient of an autoregressive model."""
 NEAREST = 3.0
-"""Partial autocorrelations are tanh of at most this, 0.995: beyond, errors wander without end."""
+"""Largest atanh of a partial autocorrelation, which is then 0.995: beyond, errors drift without
+bound."""
 STEP = 1e-4
-"""Step of the differences of the likelihood, in atanh of a partial autocorrelation."""
+"""Step of differences of the likelihood, in atanh of a partial autocorrelation."""
 WIDE_STEP = 0.05
-"""That of its second derivatives, below which rounding shows."""
+"""Step of second differences of the likelihood; rounding errors dominate for smaller ones."""
 ROUNDING = 1e-14
-"""Of sums of products of columns of length 1, as a fraction of the sum of their weights' sizes."""
+"""Rounding of sums of products of columns of length 1, as a fraction of the sum of the magnitudes
+of their weights."""
 ALL = (slice(None),)
-"""The series of rows of one record: within a series, rows follow each other."""
+"""A single series of all rows. Within a series, rows are consecutive."""
 NEWTON_STEPS = 8
-"""Enough for all digits of an inverse of the trigamma function."""
+"""Number of steps that inverts the trigamma function to all digits."""
 SPANNED = 1e-8
-"""Columns of which others leave no larger part than this are spanned by these."""
+"""Columns are spanned by others if at most this fraction of them is left without the others."""
 LEAST_INFORMATION = 1.0
-"""Less is taken for as much: atanh of a partial autocorrelation is known to 1 before any data."""
+"""Lower limit of the information: atanh of a partial autocorrelation has a prior deviation of 1."""
 
 
 class Likeness(NamedTuple):
-    """Autocorrelation at lag 1, less what a fit alone brings about, and how many standard
-    deviations of independent errors that is."""
+    """Autocorrelation at lag 1, corrected for the effect of a fit.
+
+    `score` is the correlation in standard deviations for independent errors.
+    """
 
     correlation: float
     score: float
 
 
 def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Likeness:
-    """How alike neighbouring errors (N,) of a fit are, in the order of the rows of each series.
+    """Correlation of neighbouring errors (N,) of a fit, in the order of the rows of each series.
 
-    `basis` (N, d) are orthonormal columns that the errors are orthogonal to, as those of a fit are
-    to its derivatives. Mean and variance of the statistic for independent errors are exact for
-    normal ones (Durbin and Watson, Biometrika 37, 1950). Zeros where there are too few rows for a
-    model of their dependence.
+    The orthonormal `basis` (N, d) spans the derivatives of the fit, to which the errors are
+    orthogonal. Mean and variance of the statistic for independent errors are exact if the errors
+    are normal (Durbin and Watson, Biometrika 37, 1950). The result is 0 if there are too few rows
+    for a model of the dependence.
     """
     rows, d = basis.shape
     freedom, total = rows - d, float(errors @ errors)
     if freedom < ROWS_PER_COEFFICIENT or total == 0:
         return Likeness(0.0, 0.0)
-    shifted = np.zeros_like(basis)  # A basis, where e.T A e is the sum of neighbours' products
+    shifted = np.zeros_like(basis)  # A basis; e.T A e is the sum of products of neighbours
     products, pairs = 0.0, 0
     for own in series:
         shifted[own][1:] += basis[own][:-1] / 2
@@ -72,8 +76,8 @@ def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Like
 class Autoregression:
     """A stationary autoregressive model e_t = sum_k phi_k e_(t-k) + u_t of errors.
 
-    `partial` (p,) are its partial autocorrelations, within +-1, `variance` that of the innovations
-    u, in the errors' unit squared.
+    `partial` (p,) holds the partial autocorrelations, within +-1, and `variance` is the variance of
+    the innovations u, in the squared unit of the errors.
     """
 
     partial: Array
@@ -81,7 +85,7 @@ class Autoregression:
 
     @cached_property
     def coefficients(self) -> Array:
-        """phi (p,)."""
+        """The coefficients phi (p,)."""
         return np.asarray(_coefficients(self.partial[None])[0])
 
     @cached_property
@@ -96,7 +100,7 @@ class Autoregression:
         return np.array(values[: self.partial.size])
 
     def innovations(self, errors: Array) -> Array:
-        """u of all rows (N,) but the first p, (N - p,); none of fewer rows."""
+        """Innovations u (N - p,) of all rows but the first p; empty for at most p rows."""
         p = self.partial.size
         if errors.size <= p:
             return errors[:0]
@@ -108,9 +112,9 @@ class Autoregression:
     ) -> Array:
         """Covariance (d, d) of the sums of errors times `columns` (N, d), columns.T Gamma columns.
 
-        A sum of errors of a series is one of innovations, whose weights are the columns filtered
-        backwards, and of the p errors before the first row. `squares` (N,) are squared innovations
-        to take instead of their variance, where that changes from row to row.
+        A weighted sum of errors of a series equals a sum of innovations, whose weights are the
+        columns filtered backwards, plus a sum of the p errors before the first row. Squared
+        innovations `squares` (N,) replace the variance if it changes between rows.
         """
         if len(series) > 1:
             parts = ((columns[own], None if squares is None else squares[own]) for own in series)
@@ -128,17 +132,19 @@ class Autoregression:
 def autoregression(
     errors: Array, basis: Array, series: Sequence[slice] = ALL, most: int | None = None
 ) -> tuple[Autoregression, list[Autoregression]]:
-    """The model of errors (N,) that a fit left, and those at one standard error to either side.
+    """Fit an autoregressive model to the errors (N,) of a fit.
 
-    It is one model of all series, which are independent of each other.
+    One model describes all series, which are independent of each other. The order is at least 1 and
+    otherwise less than the number of rows of any series. It minimises the corrected information
+    criterion (Hurvich and Tsai, Biometrika 76, 1989) over Burg's recursion, or, with the upper
+    limit `most`, the criterion of Schwarz (Annals of Statistics 6, 1978).
 
-    The order, 1 at least and else less than the rows of any series, is that of the smallest
-    corrected information criterion (Hurvich and Tsai, Biometrika 76, 1989) over Burg's recursion,
-    or, where it is `most` at most, of Schwarz's (Annals of Statistics 6, 1978). Errors of a fit are
-    less alike than those of the data, which it followed; so the model is that of the largest
-    restricted likelihood, which knows the `basis` (N, d) that was fitted (Cheang and Reinsel, JASA
-    95, 2000). The others, first on one side and then on the other, are along p independent
-    directions of the coefficients.
+    Errors of a fit are less correlated than errors of the data, because the fit followed the data.
+    The model therefore maximises the restricted likelihood, which allows for the fitted `basis`
+    (N, d) (Cheang and Reinsel, JASA 95, 2000).
+
+    Returns the model, and 2 p models one standard error away along p independent directions of the
+    coefficients: first all on one side, then all on the other.
     """
     rows, d = basis.shape
     highest = min(
@@ -160,18 +166,19 @@ def autoregression(
 
 
 def degrees_of_freedom(sides: Array, freedom: float) -> Array:
-    """Degrees of freedom (n,) of variances of sums of errors that depend on each other; at least 1.
+    """Degrees of freedom (n,), at least 1, of variances of sums of dependent errors.
 
-    `sides` (2 p, n) are the variances by the models of `autoregression` at one standard error to
-    either side, `freedom` the degrees of freedom of the errors. The result is that of a mean square
-    whose logarithm is as uncertain as that of the variance (Smyth, Statistical Applications in
-    Genetics and Molecular Biology 3, 2004), by the number of rows and, to first order, the model.
+    `sides` (2 p, n) holds the variances for the models of `autoregression` one standard error away,
+    and `freedom` is the degrees of freedom of the errors. The logarithm of a mean square with the
+    resulting degrees of freedom is as uncertain as the logarithm of the variance (Smyth,
+    Statistical Applications in Genetics and Molecular Biology 3, 2004). The uncertainty comes from
+    the number of rows and, to first order, from the model.
     """
     known = (sides > 0).all(axis=0)
     high, low = np.split(np.log(sides, out=np.zeros_like(sides), where=known), 2)
     rows = scipy.special.polygamma(1, freedom / 2)
     uncertainty = rows + np.sum(((high - low) / 2) ** 2, axis=0)
-    half = 0.5 + 1 / uncertainty  # to where trigamma is that, by Newton's method on 1/trigamma
+    half = 0.5 + 1 / uncertainty  # solve trigamma(half) = uncertainty by Newton on 1 / trigamma
     for _ in range(NEWTON_STEPS):
         trigamma = scipy.special.polygamma(1, half)
         half += trigamma * (1 - trigamma / uncertainty) / scipy.special.polygamma(2, half)
@@ -181,14 +188,14 @@ def degrees_of_freedom(sides: Array, freedom: float) -> Array:
 def chance_of_trend(
     errors: Array, basis: Array, columns: Array, order: int, series: Sequence[slice] = ALL
 ) -> float:
-    """How often errors (N,) that an autoregression describes follow `columns` (N, k) as closely.
+    """P value of the test that autoregressive errors (N,) follow `columns` (N, k).
 
-    The columns count less what the `basis` (N, d) spans, which the errors are orthogonal to. The F
-    test is of the sums of errors times the rest, with the covariance by a model of the errors that
-    is fitted together with the columns: errors that follow them are not taken for errors that
-    resemble their neighbours. Its order is at most `order`, that of errors which follow nothing,
-    since a higher one takes the lack of what the columns remove for dependence. 1 where rows are
-    too few.
+    The errors are orthogonal to `basis` (N, d), whose span is removed from the columns first. An F
+    test uses the sums of errors times the remaining columns, with the covariance from an
+    autoregressive model that is fitted together with the columns. A trend along the columns then
+    does not count as dependence of neighbours. The order of this model is at most `order`, the
+    order without the columns, because a higher order would fit the gap that the columns leave. The
+    result is 1 for too few rows.
     """
     rest = columns - basis @ (basis.T @ columns)
     left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
@@ -206,11 +213,12 @@ def chance_of_trend(
 
 
 class _RestrictedLikelihood:
-    """-2 log of the restricted likelihood of autoregressive models of one order, but for constants.
+    """-2 log of the restricted likelihood of autoregressive models of one order, up to a constant.
 
-    The exact quadratic form of an autoregressive model is one in (1, -phi) as well, with sums of
-    products of shifted columns (Box and Jenkins 1970, A7.4), so that an evaluation does not depend
-    on the number of rows. The variance of the innovations is the best for each model.
+    The exact quadratic form of an autoregressive model is also a quadratic form in (1, -phi), with
+    sums of products of shifted columns as coefficients (Box and Jenkins 1970, A7.4). The cost of an
+    evaluation is therefore independent of the number of rows. Each model has its best variance of
+    the innovations.
     """
 
     def __init__(
@@ -224,7 +232,7 @@ class _RestrictedLikelihood:
         self._products = np.asarray(products).reshape(-1, k * k)
 
     def _values(self, z: Array) -> tuple[Array, Array]:
-        """Values (n,) and variances of the innovations (n,) at rows z (n, p), atanh of partial."""
+        """Values (n,) and variances of the innovations (n,) at z (n, p), atanh of `partial`."""
         partial = np.tanh(z)
         a = np.column_stack([np.ones(len(z)), -_coefficients(partial)])
         form = (a[:, :, None] * a[:, None, :]).reshape(len(z), -1) @ self._products
@@ -256,7 +264,7 @@ class _RestrictedLikelihood:
         return np.asarray(second.reshape(z.size, z.size))
 
     def model(self, z: Array) -> Autoregression:
-        """The model at z (p,), moved to where it is stationary."""
+        """The model at z (p,), limited to stationary models."""
         z = np.clip(z, -NEAREST, NEAREST)
         return Autoregression(np.tanh(z), float(self._values(z[None])[1][0]))
 
@@ -271,7 +279,7 @@ def _coefficients(partial: Array) -> Array:
 
 
 def _burg(series: Sequence[Array], highest: int, schwarz: bool = False) -> Array:
-    """Partial autocorrelations (p,) by Burg's recursion, of the best order up to the highest."""
+    """Partial autocorrelations (p,) by Burg's recursion, with the best order up to `highest`."""
     pairs = [(errors[1:], errors[:-1]) for errors in series]
     rows = sum(errors.size for errors in series)
     partial, spread = [], [sum(float(errors @ errors) for errors in series) / rows]

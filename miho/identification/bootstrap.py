@@ -1,4 +1,4 @@
-"""Intervals by the bootstrap: how estimates scatter over data sets drawn from the rows."""
+"""Intervals by the bootstrap: the scatter of estimates from resampled rows."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
@@ -19,7 +19,7 @@ from miho.parallel.process_executor import WorkerLostError
 from miho.quantities import Array
 
 TINY = 1e-12
-"""A variance that is this fraction of another is none."""
+"""A variance counts as 0 if it is this fraction of another one."""
 
 
 def bootstrap(
@@ -33,17 +33,47 @@ def bootstrap(
     pool: Pool | None = None,
     others: Sequence[Array] = (),
 ) -> Array:
-    """Estimates (replicates, d) from rows drawn with replacement, near the optimum `theta` (d,).
+    """Estimate the parameters from rows drawn with replacement.
 
-    Whole rows are drawn (Efron and Tibshirani 1993, Ch. 9.5), so that nothing is assumed of the
-    errors but that rows are independent; whole events, if the data have a column that numbers them.
-    Rows that depend on their neighbours are weighted by `block` rows at a time, exponentially
-    (Rubin, Annals of Statistics 9, 1981): no weight is 0, so that what only a few rows of the data
-    determine stays determined. Where there are `others`, further optima (d,) within the noise, a
-    replicate is refitted from each of them, and the best end counts. The parameters at the
-    positions `held` stay where they are. `progress` is called after every replicate. The workers of
-    a `pool` make them where they take long; they are the same without, to the last bit. Raises
-    ValueError where one is lost.
+    Whole rows are drawn [1]_, which assumes only that rows are independent. If the data number
+    events, whole events are drawn. Dependent rows get exponential weights in blocks [2]_. No weight
+    is 0, so parameters that only a few rows determine stay determined.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    theta : ndarray of shape (d,)
+        Its optimum, the start of each refit.
+    replicates : int
+        Number of estimates.
+    rng : numpy.random.Generator
+        Source of randomness.
+    progress : callable
+        Called after every replicate.
+    held : sequence of int
+        Positions of parameters that do not change.
+    block : int
+        Number of rows with a common weight; 1 for independent rows.
+    pool : Pool, optional
+        Workers for expensive refits. The estimates are the same, to the last bit.
+    others : sequence of ndarray of shape (d,)
+        Further optima within the noise. Each replicate is refitted from all optima, and the best
+        refit counts.
+
+    Returns
+    -------
+    ndarray of shape (replicates, d)
+
+    Raises
+    ------
+    ValueError
+        If a worker is lost.
+
+    References
+    ----------
+    .. [1] Efron and Tibshirani, An Introduction to the Bootstrap, 1993, Ch. 9.5.
+    .. [2] Rubin, Annals of Statistics 9, 1981.
     """
     event = events_of(problem.dataset)
     index = np.arange(len(problem.dataset)) if event is None else event
@@ -55,7 +85,7 @@ def bootstrap(
         counts = rng.multinomial(units, np.full(units, 1 / units))
         return np.asarray(counts[index].astype(float))
 
-    drawn = (weights() for _ in range(replicates))  # here, in their order, whoever refits
+    drawn = (weights() for _ in range(replicates))  # the order does not depend on workers
     estimates = np.empty((replicates, theta.size))
     refitted = _Refitted(problem, (theta, *others), held)
     for k, estimate in enumerate(in_blocks(pool, refitted, drawn)):
@@ -68,7 +98,7 @@ def bootstrap(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """The best optimum (d,) of weighted rows, by descents from the optima of equal weights."""
+    """The best optimum (d,) of weighted rows, by descents from the optima for equal weights."""
 
     problem: CurveFit
     starts: Sequence[Array]
@@ -82,11 +112,11 @@ class _Refitted:
 
 
 def block_length(errors: Array) -> int:
-    """Rows to draw together, for errors (N,) that depend on their neighbours.
+    """Number of rows in a block, for errors (N,) that depend on their neighbours.
 
-    The length of circular blocks that Politis and White estimate (Econometric Reviews 23, 2004),
-    corrected by Patton, Politis and White (Econometric Reviews 28, 2009): the autocovariances that
-    differ from 0, weighted by a flat-top window. 1 where none does.
+    The length of circular blocks by Politis and White (Econometric Reviews 23, 2004), corrected by
+    Patton, Politis and White (Econometric Reviews 28, 2009). It follows from the significant
+    autocovariances, weighted by a flat-top window, and is 1 if there are none.
     """
     rows = errors.size
     run, farthest = max(5, int(np.sqrt(np.log10(rows)))), math.ceil(math.sqrt(rows))
@@ -94,7 +124,7 @@ def block_length(errors: Array) -> int:
     lags = min(farthest + run, rows - 1)
     products = np.array([centred[k:] @ centred[: rows - k] for k in range(lags + 1)]) / rows
     large = np.abs(products[1:]) > 2 * np.sqrt(np.log10(rows) / rows) * products[0]
-    # The last lag before a run of small ones, or the last large one.
+    # The last lag before a run of small autocovariances, or the last large one.
     runs = np.convolve(~large, np.ones(run, dtype=int), "valid")
     quiet = np.flatnonzero(runs == run)
     last = int(quiet[0]) if quiet.size else int(np.flatnonzero(large)[-1]) + 1
@@ -107,14 +137,14 @@ def block_length(errors: Array) -> int:
 
 
 def stretched(replicates: Array, at: Linearised, space: Space) -> Array:
-    """Replicates (n, d) of blocks, stretched about the optimum to the spread of `at.sandwich`.
+    """Stretch replicates (n, d) from blocks about the optimum to the covariance `at.sandwich`.
 
-    Blocks cut what depends on each other, and the errors of a fit vary less than those of the
-    data, so that replicates scatter too little, the more the stronger the dependence. The linear
-    map is the one nearest to none that takes their covariance to the sandwich; its standard
-    deviations are half of what holds the middle 68 %, since blocks may hold all rows that
-    determine a parameter. Parameters without a standard error stay, all stay within the box, and
-    replicates that are too few to know their covariance stay as they are.
+    Blocks cut the dependence between rows, and errors of a fit vary less than errors of the data.
+    Replicates therefore scatter too little, the more so the stronger the dependence. The linear map
+    closest to the identity takes their covariance to the sandwich. Standard deviations of the
+    replicates are half the width of the middle 68 %, because a block may contain all rows that
+    determine a parameter. Parameters without a standard error do not change, and all replicates
+    stay within the box. Too few replicates for a covariance are returned unchanged.
     """
     below, above = np.quantile(replicates, scipy.special.ndtr([-1.0, 1.0]), axis=0)
     known = np.flatnonzero(np.isfinite(at.standard_errors) & (above > below))
@@ -136,17 +166,17 @@ def stretched(replicates: Array, at: Linearised, space: Space) -> Array:
 
 
 def _block_weights(rows: int, block: int, rng: np.random.Generator) -> Array:
-    """A weight for each row (N,), the same within blocks of rows that begin anywhere."""
+    """Weights (N,) of rows, equal within blocks, which begin at a random row."""
     place = (np.arange(rows) + rng.integers(rows)) % rows // block
     return np.asarray(rng.exponential(size=-(-rows // block))[place])
 
 
 def percentile_intervals(replicates: Array, units: int, freedom: int, level: float = 0.95) -> Array:
-    """Lower and upper percentiles of each column of (n, q) replicates, (q, 2).
+    """Lower and upper percentiles (q, 2) of the columns of replicates (n, q).
 
-    The percentiles are a little further out than the level says, by what Student's t and the
-    `freedom` left of the `units` drawn (rows, or events) make a normal interval wider (Hesterberg,
-    The American Statistician 69, 2015): the plain ones are too narrow for small samples.
+    Plain percentiles are too narrow for small samples. Student's t, and the `freedom` of the
+    `units` drawn (rows or events), widen a normal interval by a factor, and these percentiles are
+    further out by the same factor (Hesterberg, The American Statistician 69, 2015).
     """
     reach = math.sqrt(units / freedom) * scipy.special.stdtrit(freedom, (1 + level) / 2)
     tail = float(scipy.special.ndtr(-reach))
@@ -154,8 +184,10 @@ def percentile_intervals(replicates: Array, units: int, freedom: int, level: flo
 
 
 def percentiles(replicates: Array, reach: Array) -> Array:
-    """The percentiles of columns (n, q) between which a normal one is within `reach` (q,) standard
-    deviations, (q, 2)."""
+    """Percentiles (q, 2) of columns (n, q).
+
+    Between them a normal variable is within `reach` (q,) standard deviations of its mean.
+    """
     tails = scipy.special.ndtr(-reach)
     return np.array(
         [

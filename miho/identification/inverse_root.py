@@ -1,4 +1,4 @@
-"""The inverse of J'J on what rows determine, and the directions that they do not see."""
+"""The pseudo-inverse of J'J, and the directions that rows do not determine."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 from miho.quantities import Array
 
 SINGULAR = 1e-10
-"""A direction whose singular value is at most this fraction of the largest does not change the
-predictions."""
+"""A direction does not change the predictions if its singular value is at most this fraction of the
+largest."""
 INVOLVED = 1e-6
-"""A component of a null direction above this fraction makes a parameter unidentifiable."""
+"""A parameter is unidentifiable if its component of a null direction exceeds this fraction."""
 
 
 class InverseRoot(NamedTuple):
-    """`half` (d, r) times its transpose is the pseudo-inverse of J'J, and `basis` (N, r), which is
-    orthonormal, spans the derivatives: half @ basis.T turns errors into changes of parameters.
+    """A root of the pseudo-inverse of J'J.
 
-    `null` (k, d) are the directions in which parameters can move while every row is predicted the
-    same, and `moved` (k, d) marks the parameters that each moves.
+    `half` (d, r) times its transpose is the pseudo-inverse. The orthonormal `basis` (N, r) spans
+    the derivatives, so half @ basis.T maps errors to changes of parameters. Parameters can move
+    along `null` (k, d) without changing any prediction, and `moved` (k, d) marks the parameters
+    that each null direction moves.
     """
 
     half: Array
@@ -31,9 +32,9 @@ class InverseRoot(NamedTuple):
 
 
 def inverse_root(J: Array, free: NDArray[np.intp]) -> InverseRoot:
-    """That of derivatives J (N, d), by singular values, with each column scaled to unit length.
+    """The root for derivatives J (N, d), by singular values of columns scaled to unit length.
 
-    Parameters that are not at the positions `free` are held: their rows and columns are 0.
+    Parameters outside the positions `free` are fixed: their entries are 0.
     """
     scale = np.linalg.norm(J[:, free], axis=0)
     scale[scale == 0] = 1.0

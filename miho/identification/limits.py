@@ -1,8 +1,8 @@
-"""Descents along the limits of tied parameters, beyond which no configuration has a value.
+"""Descents along the limits of tied parameters, beyond which a configuration has no value.
 
-A descent that meets such a limit can only shorten its steps. From there sequential quadratic
-programming goes on (Nocedal and Wright, Numerical Optimization, 2nd ed. 2006, Ch. 18), with the
-limits as constraints and values beyond them.
+A descent that reaches such a limit can only shorten its steps. Sequential quadratic programming
+continues from there (Nocedal and Wright, Numerical Optimization, 2nd ed. 2006, Ch. 18), with the
+limits as constraints and a model that has values beyond them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.models.tied import Tied, Ties, tie
 from miho.optim.space import Parameter
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
 
 CLOSE = 1e-2
-"""A tied parameter this close to a limit, as a share of its size, may be held back by it."""
+"""A limit may be active if a tied parameter is this close to it, as a share of its size."""
 MARGIN = 1e-9
-"""What is kept from a limit, as a share of the size, for rounding."""
+"""Distance to a limit that allows for rounding, as a share of the size."""
 STEPS = 200
 CORRECTIONS = 5
 
 
 class Pin(NamedTuple):
-    """A further residual, `weight` times how far a tied parameter is from `value`.
+    """A further residual: `weight` times the distance of a tied parameter from `value`.
 
-    With a large weight a descent holds it there (Nocedal and Wright 2006, Ch. 17.1).
+    A large weight fixes the parameter there (Nocedal and Wright 2006, Ch. 17.1).
     """
 
     ties: Ties
@@ -41,12 +41,12 @@ class Pin(NamedTuple):
     weight: float
 
     def residual(self, theta: Array) -> float:
-        """At free parameters (d,)."""
+        """The residual at free parameters (d,)."""
         value = self.ties.values(theta[None])[0, self.ties.names.index(self.name)]
         return float(self.weight * (value - self.value))
 
     def slope(self, theta: Array) -> Array:
-        """Its derivatives (d,)."""
+        """Derivatives (d,) of the residual."""
         slopes = self.ties.value_slopes(theta[None])[0, self.ties.names.index(self.name)]
         return np.asarray(self.weight * slopes)
 
@@ -54,9 +54,9 @@ class Pin(NamedTuple):
 def along_limits(
     problem: CurveFit, theta: Array, fixed: Collection[int] = (), pin: Pin | None = None
 ) -> Array:
-    """A better configuration (d,) along the limits that `theta` (d,) is close to or beyond.
+    """A better configuration (d,) along limits close to `theta` (d,); `theta` if there is none.
 
-    The parameters at the positions `fixed` stay where they are. `theta` if there is none better.
+    `theta` may be beyond a limit. Parameters at the positions `fixed` do not change.
     """
     model = problem.model
     if not isinstance(model, Tied) or not model.ties.limits:
@@ -94,7 +94,7 @@ def along_limits(
         constraints=limits,
         options={"maxiter": STEPS, "ftol": 1e-14},
     )
-    # Where limits are curved, it may end by a little beyond them.
+    # At curved limits it may end slightly beyond them.
     end = np.clip(low + solution.x * width, low, high)
     for _ in range(CORRECTIONS):
         beyond = sides.slack(end) < 0
@@ -104,23 +104,23 @@ def along_limits(
         shares = np.linalg.pinv(sides.slopes(end)[beyond] * (high - low)) @ missing
         end = np.clip(end + shares * (high - low), low, high)
     end = space.clip(end)
-    # It counts if it keeps the limits, and is better or the start did not keep them.
+    # Accept an end within the limits that is better, or if the start was beyond a limit.
     end[list(fixed)] = theta[list(fixed)]
     inside = sides.slack(end).min() >= 0
     return end if inside and cost.value(end) < (np.inf if slack < 0 else start) else theta
 
 
 def along_sides(problem: CurveFit, theta: Array) -> Array:
-    """A better configuration (d,) along the sides of a polytope whose points shares stand for.
+    """A better configuration (d,) along the sides of a radial polytope; `theta` if there is none.
 
-    Where another side is the nearest, what shares stand for has a bend, at which a descent ends;
-    the points themselves have none. `theta` if there is none better.
+    The map from shares to points has a kink wherever another side becomes the nearest one. A
+    descent in shares stops there, so this one uses the points.
     """
     model = problem.model
     if not isinstance(model, Tied) or model.ties.radial is None:
         return theta
     radial, places = model.ties.radial, model.ties.shares
-    # The problem of the points, its cost relative to the start, in shares of their ranges.
+    # The problem in terms of points, its cost relative to the start, in shares of their ranges.
     parameters = list(problem.space.parameters)
     for k, low, high in zip(places, radial.low.tolist(), radial.high.tolist(), strict=True):
         parameters[k] = Parameter(parameters[k].name, "", low, high)
@@ -157,18 +157,18 @@ def along_sides(problem: CurveFit, theta: Array) -> Array:
 
 
 class _Cost:
-    """The sum of squared residuals, with that of a pin."""
+    """The sum of squared residuals, including a pin."""
 
     def __init__(self, problem: CurveFit, pin: Pin | None) -> None:
         self._problem, self._pin = problem, pin
 
     def value(self, theta: Array) -> float:
-        """At one configuration (d,)."""
+        """The sum at one configuration (d,)."""
         pinned = 0.0 if self._pin is None else self._pin.residual(theta) ** 2
         return float(np.sum(self._problem.residuals(theta) ** 2)) + pinned
 
     def gradient(self, theta: Array) -> Array:
-        """Its derivatives (d,)."""
+        """Derivatives (d,) of the sum."""
         residuals, J = self._problem.residuals(theta), self._problem.jacobian(theta)
         slope = 2 * J.T @ residuals
         if self._pin is not None:
@@ -193,11 +193,11 @@ class _Sides:
         self._signs, self._ends, self._sizes = (np.array([s[k] for s in sides]) for k in (1, 2, 3))
 
     def slack(self, theta: Array) -> Array:
-        """How far each is inside, (k,), as a share of its size."""
+        """Distances (k,) to the limits, as shares of their sizes; negative beyond a limit."""
         values = self._ties.values(theta[None])[0, self._places]
         return np.asarray(self._signs * (values - self._ends) / self._sizes)
 
     def slopes(self, theta: Array) -> Array:
-        """Its derivatives, (k, d)."""
+        """Derivatives (k, d) of the slacks."""
         slopes = self._ties.value_slopes(theta[None])[0, self._places]
         return np.asarray(slopes * (self._signs / self._sizes)[:, None])

@@ -1,4 +1,4 @@
-"""Intervals by profile likelihood: how far a parameter can go while the others make up for it."""
+"""Intervals by profile likelihood: the range of a parameter if the others compensate for it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.alternatives import error_variance
 from miho.identification.curve_fit import CurveFit
@@ -19,32 +19,39 @@ from miho.models.tied import Tied
 from miho.quantities import Array
 
 SIGNS = (-1, 1)
-"""The lower side of a profile and the upper."""
+"""The signs of the lower and the upper side of a profile."""
 EXPANSIONS = 20
-"""Steps outwards at most until an interval's end lies behind."""
+"""Largest number of outward steps to a point beyond the end of the interval."""
 WALL = 100.0
-"""Where the residuals are not finite, the signed root is this many times the quantile sought."""
+"""The signed root is this multiple of the quantile if the residuals are not finite."""
 HALVINGS = 30
-"""Steps at most of the root finding between a point inside and one outside: enough for a jump."""
+"""Largest number of root-finding steps between points inside and outside: enough for a jump."""
 CLOSE = 0.005
-"""The search for an end stops when the signed root is within this of the quantile."""
+"""The search for an end stops when the signed root is this close to the quantile."""
 INSIDE = 1e-2
-"""Parameters at a bound are refitted from this share of their range inside of it too."""
+"""Parameters at a bound are also refitted from a start inside it by this share of their range."""
 PINNED = 1e3
-"""A tied parameter is held at a value by a residual of so many deviations of the errors for each of
-its standard errors: it gives way by tau / PINNED^2 of them, and (tau / PINNED)^2 is added to tau^2.
-"""
+"""Weight of the residual that fixes a tied parameter: this many standard deviations of the errors
+for each standard error of the parameter. The parameter yields by tau / PINNED^2 standard errors,
+and tau^2 increases by (tau / PINNED)^2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The profile of one parameter: (values, tau), ordered by value, and the interval's ends.
+    """The profile likelihood of one parameter, and its interval.
 
-    tau is the signed root of the likelihood ratio, in the units of Student's t: a straight line
-    for a linear model, so its bend shows how far the linearised interval is off. An end is open,
-    for which it is infinite, if the profile came to the edge of the box first: the data do not
-    bound the parameter on that side within the box, and nothing is known beyond it. `best` is the
-    smallest sum of squares of all refits: below that of the centre it is another optimum.
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Values of the parameter, in ascending order.
+    tau : ndarray of shape (n,)
+        Signed root of the likelihood ratio, in units of Student's t. It is a straight line for a
+        linear model, so its curvature shows the error of the linearised interval.
+    low, high : float
+        Ends of the interval. An end is infinite (open) if the profile reached the bound of the box
+        first: the data do not limit the parameter on that side within the box.
+    best : Refit
+        The refit with the smallest sum of squares; below the optimum it is another optimum.
     """
 
     values: Array
@@ -55,17 +62,17 @@ class Profile:
 
     @property
     def tried(self) -> tuple[float, float]:
-        """The interval's ends, for an open one the last value that was tried."""
+        """The ends of the interval, and the last tried value for an open end."""
         low = self.low if np.isfinite(self.low) else float(self.values[0])
         high = self.high if np.isfinite(self.high) else float(self.values[-1])
         return low, high
 
 
 class _Target(NamedTuple):
-    """What is profiled: the free parameter at a position, or the tied one of a name.
+    """The profiled parameter: a free one at a position, or a tied one by name.
 
-    `gradient` (d,) are its derivatives with respect to the free ones, `low` and `high` its range,
-    which are limits to the interval as well if `limited`.
+    `gradient` (d,) holds its derivatives with respect to the free parameters. `low` and `high` are
+    its range, and limits of the interval as well if `limited`.
     """
 
     name: str
@@ -83,7 +90,7 @@ def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
         p = space.parameters[of]
         return _Target(p.name, of, float(at.theta[of]), np.eye(len(space))[of], p.low, p.high)
     if not isinstance(model, Tied):
-        raise ValueError(f"{of} is no tied parameter of {problem.name}")
+        raise ValueError(f"{of} is not a tied parameter of {problem.name}")
     ties, place = model.ties, model.ties.names.index(of)
     centre = float(ties.values(at.theta[None])[0, place])
     low, high = ties.limits.get(of, (-np.inf, np.inf))
@@ -102,19 +109,42 @@ def likelihood_profile(
     deadline: Deadline | None = None,
     others: Sequence[Linearised] = (),
 ) -> Profile:
-    """Profile of a free parameter by its position or a tied one by name (Bates and Watts 1988,
-    Ch. 6.1.2).
+    """Profile likelihood of a parameter.
 
-    The interval holds the values v for which the smallest sum of squares with the parameter fixed
-    at v exceeds the smallest of all by less than F(1, freedom) allows. Where rows depend on each
-    other, tau is divided by how many times wider that makes the parameter's linearised interval
-    (Kent, Biometrika 69, 1982), so that the profile keeps its shape. Every refit starts where the
-    linearised model expects its optimum; where the residuals are not finite there is a wall.
+    The interval contains the values v for which the smallest sum of squares with the parameter
+    fixed at v exceeds the overall minimum by less than F(1, freedom) allows [1]_. Dependence of
+    rows widens the linearised interval by a factor. tau is divided by this factor [2]_, so the
+    profile keeps its shape. Every refit starts at the optimum of the linearised model.
 
-    `others` are further optima within the noise. The profile is then the lower envelope of those
-    that start from each optimum, and the interval reaches from the lowest value within to the
-    highest: it is the hull of what may be several intervals.
-    Raises OutOfTimeError after the deadline.
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    at : Linearised
+        Its optimum.
+    of : int or str
+        Position of a free parameter, or name of a tied one.
+    level : float
+        Confidence level of the interval, between 0 and 1.
+    deadline : Deadline, optional
+        The time limit.
+    others : sequence of Linearised
+        Further optima within the noise. The profile is then the lower envelope of the profiles from
+        all optima, and the interval is the hull of all values within.
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    OutOfTimeError
+        After the deadline.
+
+    References
+    ----------
+    .. [1] Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 6.1.2.
+    .. [2] Kent, Biometrika 69, 1982.
     """
     tau = _SignedRoot(problem, (at, *others), of, level, deadline)
     lower, upper = (_side(tau, sign, level) for sign in SIGNS)
@@ -122,7 +152,7 @@ def likelihood_profile(
 
 
 class Side(NamedTuple):
-    """One side of a profile: the interval's end there, tau by value, and the best refit."""
+    """One side of a profile: the end of the interval, tau by value, and the best refit."""
 
     end: float
     tau: dict[float, float]
@@ -131,7 +161,7 @@ class Side(NamedTuple):
 
 @dataclass(frozen=True)
 class ProfileSide:
-    """Gives one side of the profile of a parameter, which does not depend on the other."""
+    """A function that computes one side of a profile, independently of the other side."""
 
     problem: CurveFit
     at: Linearised
@@ -140,7 +170,7 @@ class ProfileSide:
     others: Sequence[Linearised] = ()
 
     def __call__(self, side: tuple[int | str, int]) -> Side | None:
-        """That of a parameter with a sign of SIGNS; None after the deadline."""
+        """The side of a parameter with a sign of SIGNS; None after the deadline."""
         of, sign = side
         try:
             tau = _SignedRoot(self.problem, (self.at, *self.others), of, self.level, self.deadline)
@@ -150,7 +180,7 @@ class ProfileSide:
 
 
 def joined(lower: Side, upper: Side) -> Profile:
-    """The profile of its two sides."""
+    """The profile from its two sides."""
     tau = {**lower.tau, **upper.tau}
     values = np.array(sorted(tau))
     best = min(lower.best, upper.best, key=lambda refit: refit.cost)
@@ -158,10 +188,11 @@ def joined(lower: Side, upper: Side) -> Profile:
 
 
 def _side(tau: _SignedRoot, sign: int, level: float) -> Side:
-    """The side of a profile with a sign, from the optimum that is furthest on this side.
+    """The side of a profile with a sign, from the outermost optimum on this side.
 
-    First to the end of independent rows: where a poor optimum makes neighbours alike, a better one
-    may lie between. From there to that of rows that depend on each other.
+    The search goes to the end for independent rows first, because a poor optimum correlates
+    neighbours and a better one may lie closer. From there it continues to the end for dependent
+    rows.
     """
     at, target = tau.sized.at, tau.sized.target
     quantile, bound = at.quantile(level), target.low if sign < 0 else target.high
@@ -178,9 +209,9 @@ def _side(tau: _SignedRoot, sign: int, level: float) -> Side:
 
 
 class _Branch:
-    """An optimum from which refits start, with the parameters (d,) of its own refits by value.
+    """An optimum as a start of refits, with the parameters (d,) of these refits by value.
 
-    `error` is the standard error there of what is profiled.
+    `error` is the standard error of the profiled parameter there.
     """
 
     def __init__(self, problem: CurveFit, at: Linearised, of: int | str) -> None:
@@ -195,18 +226,18 @@ class _Branch:
         self.thetas = {self.target.centre: at.theta}
 
     def nearest(self, value: float) -> tuple[Array, Array]:
-        """The nearest refit's parameters (d,), moved as the linearised model says and unmoved."""
+        """Parameters (d,) of the nearest refit, moved along the linearised model and unmoved."""
         point = min(self.thetas, key=lambda known: abs(known - value))
         theta = self.thetas[point]
         return theta + self._direction * (value - point), theta.copy()
 
 
 class _SignedRoot:
-    """tau as a function of the parameter's value, by refits with the parameter fixed there.
+    """tau as a function of the value of the parameter, by refits with the parameter fixed there.
 
-    One starts from each of the `branches`, the first that of the best optimum, and the best of them
-    counts. `sized` is the first that has a standard error. `points` maps the values so far to tau.
-    tau is at most `largest` in size, and is that where no refit has finite residuals. `best` is the
+    A refit starts from each of the `branches`, the best optimum first, and the best refit counts.
+    `sized` is the first branch with a standard error. `points` maps previous values to tau. The
+    magnitude of tau is limited, and has this limit if no refit has finite residuals. `best` is the
     refit with the smallest sum of squares.
     """
 
@@ -228,14 +259,14 @@ class _SignedRoot:
         self.sized = next(filter(lambda branch: branch.has_error, self.branches), self.branches[0])
         self._unit = variance * _widening(self.sized.at, self.sized.target, level) ** 2
         self._weight = PINNED * float(np.sqrt(variance) / self.sized.error)
-        # Along directions that the data do not see a refit would take many steps, in vain.
+        # A refit would waste many steps along directions that the data do not determine.
         self._fixed = {*_superfluous(at), *([] if target.position is None else [target.position])}
         self.centre = target.centre
         self.points = {self.centre: 0.0}
         self.best = Refit(at.theta, self._cost)
 
     def __call__(self, value: float) -> float:
-        """tau at a value of the parameter; raises OutOfTimeError after the deadline."""
+        """The signed root at a value of the parameter; raises OutOfTimeError after the deadline."""
         if value not in self.points:
             fits = [self._on(branch, value) for branch in self.branches]
             fit = min(fits, key=lambda refit: refit.cost)
@@ -248,13 +279,13 @@ class _SignedRoot:
         return self.points[value]
 
     def _on(self, branch: _Branch, value: float) -> Refit:
-        """The refit at a value that starts from the nearest one of a branch."""
+        """The refit at a value, from the nearest refit of a branch."""
         moved, unmoved = branch.nearest(value)
         fit = self._refit(moved, value)
-        if not np.isfinite(fit.cost):  # the guess is behind a wall
+        if not np.isfinite(fit.cost):  # the guess has no finite residuals
             fit = self._refit(unmoved, value)
         at_bound = branch.at.at_bound
-        if at_bound.any():  # which a descent hardly leaves that starts there
+        if at_bound.any():  # a descent hardly leaves a bound at which it starts
             inside = self._refit(np.where(at_bound, branch.inside, fit.theta), value)
             fit = min(fit, inside, key=lambda refit: refit.cost)
         branch.thetas[value] = fit.theta
@@ -275,24 +306,24 @@ class _SignedRoot:
 def _end(
     tau: _SignedRoot, sign: int, bound: float, quantile: float, step: float, inside: float
 ) -> float:
-    """Where |tau| reaches the quantile on one side; infinite if it does not within the box.
+    """The value at which |tau| reaches the quantile on one side; infinite if it is outside the box.
 
-    `sign` is -1 for the lower end and 1 for the upper, `bound` that of the box there, `inside` a
-    value that is not beyond the end, and `step` the distance from it at which a linear model would
-    reach the quantile.
+    `sign` is -1 for the lower end and 1 for the upper one, `bound` the bound of the box there,
+    `inside` a value that is not beyond the end, and `step` the distance from it at which a linear
+    model would reach the quantile.
     """
     centre = tau.centre
-    if inside + step == inside:  # known better than it can be written
+    if inside + step == inside:  # the interval is narrower than rounding
         return inside
 
-    # Outwards until a point lies beyond the end.
+    # Outwards to a point beyond the end.
     for _ in range(EXPANSIONS):
         outside = sign * min(sign * (inside + sign * step), sign * bound)
         if abs(tau(outside)) >= quantile - CLOSE:
             break
         if outside == bound:
             return sign * np.inf
-        # By what a straight line from the centre would need, and a little more.
+        # A step slightly larger than a straight line from the centre would need.
         slope = abs(tau(outside)) / abs(outside - centre)
         missing = 1.05 * (quantile - abs(tau(outside))) / slope if slope > 0 else np.inf
         inside, step = outside, min(missing, 3 * step)
@@ -314,14 +345,14 @@ def _end(
 
 
 def _error(at: Linearised, target: _Target) -> float:
-    """The standard error of what is profiled."""
+    """The standard error of the profiled parameter."""
     if target.position is not None:
         return float(at.standard_errors[target.position])
     return float(at.spread(target.gradient[None])[0])
 
 
 def _widening(at: Linearised, target: _Target, level: float) -> float:
-    """How many times wider than for independent rows a profile is, for tau up to `at.quantile`."""
+    """The widening factor of a profile for dependent rows, for tau up to `at.quantile`."""
     if at.dependence is None:
         return 1.0
     quantile = float(at.quantiles(target.gradient[None], level)[0])
@@ -329,7 +360,7 @@ def _widening(at: Linearised, target: _Target, level: float) -> float:
 
 
 def _superfluous(at: Linearised) -> list[int]:
-    """As many parameters as there are null directions: with these fixed, all others are seen."""
+    """A parameter per null direction: with these fixed, the data determine all others."""
     if not len(at.null_directions):
         return []
     pivots = scipy.linalg.qr(at.null_directions, mode="r", pivoting=True)[1]
@@ -337,7 +368,7 @@ def _superfluous(at: Linearised) -> list[int]:
 
 
 def _conditional_direction(at: Linearised, gradient: Array) -> Array:
-    """How the parameters (d,) follow when the quantity moves by 1, in the linearised model."""
+    """Change of the parameters (d,) per unit of the quantity, in the linearised model."""
     column = at.independent.covariance @ gradient
     variance = gradient @ column
     return np.asarray(column / variance) if variance > 0 else np.zeros_like(column)

@@ -1,4 +1,4 @@
-"""A local least-squares descent: what profiles, bootstraps and validation repeat."""
+"""A local least-squares descent, which profiles, the bootstrap and validation repeat."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.limits import Pin, along_limits, along_sides
 from miho.quantities import Array
 
 EVALUATIONS = 200
-"""Evaluations of the residuals at most, by default: enough from a start near the optimum."""
+"""Default limit on evaluations of the residuals: enough for a start near the optimum."""
 FEW = 5
-"""Evaluations that a refit takes at least."""
+"""Smallest number of evaluations of a refit."""
 STANDSTILL = 1e-8
-"""A descent whose second half gains less than this fraction of the sum of squares is at its end."""
+"""A descent has converged if its second half gains less than this fraction of the sum of
+squares."""
 
 AT_OPTIMUM = 1e-16
-"""A start from which the linear model promises less than this fraction of the sum of squares is the
-optimum: by 1e-8 sqrt(N) of a standard error."""
+"""A start is the optimum if the linear model predicts a gain of less than this fraction of the sum
+of squares, which is a distance of 1e-8 sqrt(N) standard errors."""
 
 
 class OutOfTimeError(Exception):
-    """The seconds that a report may take are over."""
+    """The time limit of a report is over."""
 
 
 @dataclass
 class Deadline:
-    """When a report has to end, in seconds of `time.perf_counter`; `check` raises after that."""
+    """The time limit of a report, in seconds of `time.perf_counter`."""
 
     at: float = math.inf
 
@@ -48,7 +49,7 @@ class Deadline:
         return time.perf_counter() > self.at
 
     def __getstate__(self) -> float:
-        """The seconds that are left: the clocks of other machines are others."""
+        """The seconds left, because other machines have other clocks."""
         return self.at - time.perf_counter()
 
     def __setstate__(self, left: float) -> None:
@@ -56,17 +57,17 @@ class Deadline:
 
 
 def seconds_of_refit(problem: CurveFit, theta: Array) -> float:
-    """Seconds that a refit takes at least, by one evaluation."""
+    """Smallest duration of a refit in seconds, from the duration of one evaluation."""
     started = time.perf_counter()
     problem.residuals(theta)
     return FEW * (time.perf_counter() - started)
 
 
 class Refit(NamedTuple):
-    """Where a descent ended: parameters (d,), and the sum of squared (transformed) residuals.
+    """The end of a descent: parameters (d,), and the sum of squared (transformed) residuals.
 
-    It is a local optimum if `converged`; else the descent was still moving after `evaluations`, ran
-    out of time, or met derivatives that are not finite.
+    It is a local optimum if `converged`. Otherwise the descent was still improving after
+    `evaluations`, ran out of time, or met derivatives that are not finite.
     """
 
     theta: Array
@@ -76,16 +77,16 @@ class Refit(NamedTuple):
 
     @property
     def moving(self) -> int:
-        """After how many evaluations the descent was still moving, 0 if it came to its end."""
+        """Evaluations after which the descent was still improving; 0 if it converged."""
         return 0 if self.converged else self.evaluations
 
 
 class _NoDerivatives(Exception):  # noqa: N818 -- ends a descent, no error
-    """The derivatives are not all finite numbers."""
+    """Some derivatives are not finite."""
 
 
 class _Stationary(Exception):  # noqa: N818 -- ends a descent, no error
-    """Nothing depends on the free parameters here."""
+    """All derivatives with respect to the free parameters are 0."""
 
 
 def refit(
@@ -98,11 +99,31 @@ def refit(
     deadline: Deadline | None = None,
     pin: Pin | None = None,
 ) -> Refit:
-    """The optimum of the problem near `start` (d,), within the box.
+    """Descend to the optimum of a problem near a start, within the box.
 
-    `weights` (N,) multiply the squared residuals; the parameters at the positions `fixed` stay at
-    their start, and a tied one where `pin` has it. Residuals that are not finite are a wall. After
-    `evaluations` of the residuals, and after the deadline, the best so far is returned.
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    start : ndarray of shape (d,)
+        The starting point. Points without finite residuals are rejected.
+    weights : ndarray of shape (N,), optional
+        Weights of the squared residuals of the rows.
+    fixed : collection of int
+        Positions of parameters that keep the values of the start.
+    tolerance : float
+        Relative tolerance of sum of squares and parameters.
+    evaluations : int
+        Limit on evaluations of the residuals.
+    deadline : Deadline, optional
+        The time limit.
+    pin : Pin, optional
+        A residual that fixes a tied parameter.
+
+    Returns
+    -------
+    Refit
+        The best point so far if a limit ends the descent.
     """
     objective = _Objective(problem, start, weights, fixed, deadline, pin)
     start_values = objective.residuals(objective.first)
@@ -114,7 +135,7 @@ def refit(
     if not objective.first.size or objective.costs[-1] == 0:
         return Refit(objective.best, objective.costs[-1])
 
-    # The solver begins with a point that is evaluated already.
+    # The solver begins with a point that was evaluated already.
     def residuals(part: Array) -> Array:
         return start_values if objective.is_first(part) else objective.residuals(part)
 
@@ -125,7 +146,7 @@ def refit(
         start_slopes = objective.jacobian(objective.first)
         if at_optimum(start_slopes, start_values, objective.first):
             return _limited(problem, objective, weights, fixed, pin, True)
-        with np.errstate(all="ignore"):  # where nothing depends on a parameter SciPy divides by 0
+        with np.errstate(all="ignore"):  # SciPy divides by 0 for a parameter without an effect
             solution = scipy.optimize.least_squares(
                 residuals,
                 objective.first,
@@ -137,7 +158,7 @@ def refit(
                 gtol=None,
                 max_nfev=evaluations,
             )
-        # Along directions that the data do not see SciPy goes on, and gains nothing.
+        # SciPy continues along directions that the data do not determine, and gains nothing.
         costs = objective.costs
         halfway = costs[(len(costs) + 1) // 2]
         converged = solution.status > 0 or costs[-1] >= (1 - STANDSTILL) * halfway
@@ -149,9 +170,9 @@ def refit(
 
 
 def at_optimum(J: Array, r: Array, part: Array) -> bool:
-    """Whether residuals r (N,) with derivatives J (N, f) leave nothing to gain inside of the box.
+    """Whether no step inside the box reduces residuals r (N,) with derivatives J (N, f).
 
-    `part` (f,) is 0 and 1 at the bounds, where a parameter stays if its gradient points outwards.
+    `part` (f,) is 0 or 1 at a bound. A parameter stays there if a descent would leave the box.
     """
     slope = J.T @ r
     held = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
@@ -172,7 +193,7 @@ def _limited(
     pin: Pin | None,
     converged: bool,
 ) -> Refit:
-    """Where the objective has ended, moved along the limits of tied parameters."""
+    """The end of the descent, moved along the limits of tied parameters."""
     costs = objective.costs
     end = Refit(objective.best, costs[-1], converged, len(costs) - 1)
     if weights is None:
@@ -184,11 +205,11 @@ def _limited(
 
 
 class _Objective:
-    """Residuals as a function of the free parameters, each from 0 to 1 across its bounds.
+    """Residuals as a function of the free parameters, scaled to 0 to 1 between their bounds.
 
-    So no unit is too small for the solver, which has no absolute tolerance. `first` (f,) is the
-    start in these coordinates, `best` the best configuration (d,) so far, and `costs` the smallest
-    sum of squares so far, from infinity and then after each evaluation.
+    The solver then works in any unit, as it has no absolute tolerance. `first` (f,) is the start in
+    these coordinates, and `best` the best configuration (d,) so far. `costs` lists the smallest sum
+    of squares so far: infinity at first, and one entry per evaluation.
     """
 
     def __init__(
@@ -207,7 +228,7 @@ class _Objective:
         self._fixed = list(fixed)
         self._free = np.array([i for i in range(self.best.size) if i not in fixed], dtype=int)
         self._root = None
-        if weights is not None:  # residuals of priors behind the rows keep theirs
+        if weights is not None:  # residuals of priors, after the rows, have weight 1
             self._root = np.ones(problem.residual_count)
             self._root[: weights.size] = np.sqrt(weights)
         self._logarithmic = np.array([p.scale == "log" for p in space.parameters])
@@ -216,16 +237,16 @@ class _Objective:
         self.costs = [math.inf]
 
     def is_first(self, part: Array) -> bool:
-        """Whether these are the free parameters of the start."""
+        """Whether `part` (f,) is the start."""
         return np.array_equal(part, self.first)
 
     def cost(self, theta: Array) -> float:
-        """The sum of squares without weights."""
+        """The sum of squares without weights, including a pin."""
         pinned = 0.0 if self._pin is None else self._pin.residual(theta) ** 2
         return float(np.sum(self._problem.residuals(theta) ** 2)) + pinned
 
     def residuals(self, part: Array) -> Array:
-        """Weighted residuals (N,); NaN where the model fails, as it may on a part of the box."""
+        """Weighted residuals (N,); NaN if the model fails, as it may on a part of the box."""
         if self._deadline is not None and self.costs[-1] < math.inf:
             self._deadline.check()
         theta = self._configuration(part)
@@ -245,7 +266,7 @@ class _Objective:
         return values
 
     def jacobian(self, part: Array) -> Array:
-        """Their derivatives (N, f); raises _NoDerivatives or _Stationary."""
+        """Derivatives (N, f) of the residuals; raises _NoDerivatives or _Stationary."""
         theta = self._configuration(part)
         stretch = (self._high - self._low) * np.where(self._logarithmic, theta, 1.0)
         whole = self._problem.jacobian(theta)
@@ -255,12 +276,12 @@ class _Objective:
         if not np.isfinite(derivatives).all():
             raise _NoDerivatives
         if not derivatives.any():
-            raise _Stationary  # SciPy would divide by them
+            raise _Stationary  # SciPy would divide by 0
         return np.asarray(derivatives if self._root is None else derivatives * self._root[:, None])
 
     def _configuration(self, part: Array) -> Array:
-        """The configuration (d,) with these free parameters (f,)."""
-        if self.is_first(part):  # unrounded by the scale
+        """The configuration (d,) with free parameters `part` (f,)."""
+        if self.is_first(part):  # without rounding by the scale
             return self._start
         space, free = self._problem.space, self._free
         encoded = space.encode(self._start).copy()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
@@ -27,27 +27,36 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 EVENT = "event"
-"""A column of this name numbers events, such as brakings, whose rows are not independent."""
+"""A column of this name numbers events, for example brakings, whose rows are not independent."""
 FEWEST_EVENTS = 3
 AT_BOUND = 1e-10
-"""A parameter this close to a bound, as a fraction of its range, is at the bound: descents end
-there to rounding, and the range of one without bounds is a million times its start."""
+"""A parameter is at a bound if it is this close, as a fraction of its range: descents reach bounds
+up to rounding, and the range of a parameter without bounds is a million times its start."""
 RESEMBLING = 0.1
-"""Correlation of neighbouring rows' errors from which on they are not independent ..."""
+"""Errors of neighbouring rows are dependent if their correlation exceeds this ..."""
 SCORE = 2.33
-"""... if it is this many standard deviations of independent ones, as chance makes it in 1 %."""
+"""... and exceeds this number of standard deviations for independent errors, which has a chance of
+1 %."""
 ALONE = 1e-8
-"""A row that leaves so little of its error to the others is predicted by itself alone."""
+"""A row alone determines its prediction if at most this fraction of its error is left."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dependence:
-    """How the errors depend on those of neighbouring rows, in the order of the data.
+    """The dependence of errors on the errors of neighbouring rows, in the order of the data.
 
-    `correlation` is that of one row with the next, less what a fit brings about by itself, `model`
-    what the covariance follows from, and `sides` (2 p, d, d) are the covariances of models at one
-    standard error to either side of it. `errors` (N,) are those of the rows, as a robust loss takes
-    them. `independent` is the uncertainty if rows were independent.
+    Parameters
+    ----------
+    correlation : float
+        Correlation of consecutive errors, corrected for the correlation that a fit causes.
+    model : Autoregression
+        The model of the errors, which gives the covariance.
+    sides : ndarray of shape (2 p, d, d)
+        Covariances for models one standard error away from `model` on either side.
+    errors : ndarray of shape (N,)
+        The errors, after the influence function of a robust loss.
+    independent : Linearised
+        The uncertainty for independent rows.
     """
 
     correlation: float
@@ -64,24 +73,43 @@ class Dependence:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The uncertainty of `theta` (d,) by the derivatives there; units are the parameters' own.
+    """The uncertainty of an optimum from the derivatives there; `linearised` computes it.
 
-    `covariance` (d, d) assumes errors of equal spread, independent between rows; `sandwich` (d, d)
-    allows a spread that changes from row to row (White, Econometrica 48, 1980), in the form HC3 for
-    few rows (MacKinnon and White, Journal of Econometrics 29, 1985). If the data number `events`,
-    both allow errors that belong together within an event (Liang and Zeger, Biometrika 73, 1986),
-    with the factors for few events; 0 if they do not. Both are 0 along `null_directions` (k, d), in
-    which theta can move while every row is predicted the same (the null space of the Jacobian), and
-    for parameters `at_bound` (d,), which are held.
+    Parameters
+    ----------
+    theta : ndarray of shape (d,)
+        The optimum, in the units of the parameters, as are all standard errors.
+    covariance : ndarray of shape (d, d)
+        Covariance for errors of equal spread that are independent between rows.
+    sandwich : ndarray of shape (d, d)
+        Covariance for errors whose spread changes between rows [1]_, in the form HC3 for few rows
+        [2]_.
+    noise : float
+        Standard deviation of the errors, in the unit of the output.
+    freedom : int
+        Degrees of freedom of Student's t. With `dependence`, the smallest of any parameter.
+    events : int
+        Number of events, or 0. With events both covariances allow for errors that are dependent
+        within an event [3]_, with factors for few events.
+    at_bound : ndarray of bool, shape (d,)
+        Parameters at a bound, which count as fixed: their covariances are 0.
+    null_directions : ndarray of shape (k, d)
+        Null space of the Jacobian: directions along which theta can move without changing any
+        prediction. Both covariances are 0 along them.
+    unidentifiable : ndarray of bool, shape (d,)
+        Parameters that a null direction moves.
+    noise_known : bool
+        Whether the noise is known, so that intervals use the normal distribution.
+    dependence : Dependence, optional
+        Dependence of the errors on neighbouring rows. Both covariances allow for it, the sandwich
+        also for innovations of changing spread, and `intervals` and `reach` use separate degrees of
+        freedom for each quantity.
 
-    `noise` is the standard deviation of the errors in the output's unit, `freedom` the degrees of
-    freedom of Student's t, which is the normal distribution if the noise is known and no estimate
-    (`noise_known`). `unidentifiable` (d,) marks the parameters that a null direction moves.
-
-    With `dependence` both allow errors that depend on those of neighbouring rows, as an
-    autoregressive model of the errors says, and the sandwich innovations of any spread; `freedom`
-    is then the smallest of any parameter, and `intervals` and `reach` take for each quantity its
-    own.
+    References
+    ----------
+    .. [1] White, Econometrica 48, 1980.
+    .. [2] MacKinnon and White, Journal of Econometrics 29, 1985.
+    .. [3] Liang and Zeger, Biometrika 73, 1986.
     """
 
     theta: Array
@@ -98,12 +126,12 @@ class Linearised:
 
     @property
     def independent(self) -> Linearised:
-        """The same as if rows were independent."""
+        """The uncertainty for independent rows."""
         return self if self.dependence is None else self.dependence.independent
 
     @cached_property
     def by_sandwich(self) -> Linearised:
-        """The same with the sandwich as its covariance."""
+        """The uncertainty with the sandwich as covariance."""
         return replace(self, covariance=self.sandwich)
 
     def mapped(
@@ -113,9 +141,20 @@ class Linearised:
         at_bound: NDArray[np.bool_],
         unidentifiable: NDArray[np.bool_],
     ) -> Linearised:
-        """The same of functions of the parameters, with these values (q,) and derivatives (q, d).
+        """The uncertainty of functions of the parameters.
 
-        `at_bound` (q,) and `unidentifiable` (q,) mark those of them that are.
+        Parameters
+        ----------
+        values : ndarray of shape (q,)
+            Values of the functions.
+        slopes : ndarray of shape (q, d)
+            Their derivatives with respect to the parameters.
+        at_bound, unidentifiable : ndarray of bool, shape (q,)
+            The functions that are at a bound, or unidentifiable.
+
+        Returns
+        -------
+        Linearised
         """
         dependence = self.dependence
         if dependence is not None:
@@ -137,7 +176,7 @@ class Linearised:
 
     @cached_property
     def standard_errors(self) -> Array:
-        """Standard errors (d,): NaN for a parameter at its bound, infinite if unidentifiable."""
+        """Standard errors (d,): NaN for a parameter at a bound, infinite if unidentifiable."""
         errors = np.sqrt(np.diag(self.covariance))
         errors[self.unidentifiable] = np.inf
         errors[self.at_bound] = np.nan
@@ -145,37 +184,37 @@ class Linearised:
 
     @cached_property
     def correlation(self) -> Array:
-        """Correlation of the estimates, (d, d); NaN where a standard error is not above 0."""
+        """Correlation (d, d) of the estimates; NaN without a finite positive standard error."""
         errors = self.standard_errors
         usable = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
         return np.asarray(self.covariance / np.outer(usable, usable))
 
     def quantile(self, level: float = 0.95) -> float:
-        """How many standard errors the two-sided interval reaches (Student's t, or normal)."""
+        """Half width of the two-sided interval in standard errors (Student's t, or normal)."""
         if self.noise_known and self.dependence is None:
             return float(scipy.special.ndtri((1 + level) / 2))
         return float(scipy.special.stdtrit(self.freedom, (1 + level) / 2))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Lower and upper ends, (d, 2)."""
+        """Lower and upper ends (d, 2) of the intervals of a confidence level."""
         reach = self.quantiles(np.eye(self.theta.size), level) * self.standard_errors
         return np.stack([self.theta - reach, self.theta + reach], axis=1)
 
     def quantiles(self, gradients: Array, level: float = 0.95) -> Array:
-        """`quantile` (n,) for quantities with these gradients (n, d) in the parameters."""
+        """`quantile` (n,) for quantities with gradients (n, d) with respect to the parameters."""
         if self.dependence is None:
             return np.full(len(gradients), self.quantile(level))
         freedom = self.dependence.freedom(gradients)
         return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2))
 
     def reach(self, gradients: Array, level: float = 0.95) -> Array:
-        """Half widths (n,) of the intervals of quantities with these gradients (n, d)."""
+        """Half widths (n,) of the intervals of quantities with gradients (n, d)."""
         return self.quantiles(gradients, level) * self.spread(gradients)
 
     def spread(self, gradients: Array) -> Array:
-        """Standard errors (n,) of quantities with these gradients (n, d) in the parameters.
+        """Standard errors (n,) of quantities with gradients (n, d) with respect to the parameters.
 
-        Infinite for a quantity that a null direction moves, NaN for one that depends only on
+        Infinite for a quantity that a null direction moves, NaN for a quantity that depends only on
         parameters at a bound.
         """
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
@@ -189,17 +228,38 @@ class Linearised:
 
 
 def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Linearised:
-    """Uncertainty of the optimum `theta` (d,) of a problem.
+    """Estimate the uncertainty of an optimum from the linearised model.
 
-    With a robust loss the covariance is that of an M-estimator (Huber 1981, Ch. 7.6). With
-    `neighbours` it is one that allows errors to depend on those of neighbouring rows, where they
-    are alike and no events are numbered. Beside priors an unknown variance is estimated with the
-    degrees of freedom that the data's share in the parameters leaves (MacKay, Neural Computation 4,
-    1992, Bayesian interpolation, Sec. 2.4). Raises ValueError if there are not more rows than
-    parameters, if a derivative is not finite, or if a robust loss sees little else than outliers.
+    With a robust loss the covariance is the one of an M-estimator [1]_. With priors, the estimate
+    of an unknown variance counts only the parameters that the data determine [2]_.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    theta : ndarray of shape (d,)
+        Its optimum.
+    neighbours : bool, optional
+        Whether to allow for correlated errors of neighbouring rows. It has no effect if the errors
+        are not significantly correlated, if the data number events, or with priors.
+
+    Returns
+    -------
+    Linearised
+
+    Raises
+    ------
+    ValueError
+        If there are not more rows than parameters, if a derivative is not finite, or if a robust
+        loss treats nearly all rows as outliers.
+
+    References
+    ----------
+    .. [1] Huber, Robust Statistics, 1981, Ch. 7.6.
+    .. [2] MacKay, Bayesian interpolation, Neural Computation 4, 1992, Sec. 2.4.
     """
     errors, J = _errors_and_slopes(problem, theta)
-    # Parameters at a bound are held; the others cost a degree of freedom each.
+    # Parameters at a bound are fixed; the others cost a degree of freedom each.
     at_bound = at_bounds(problem.space, theta)
     count = int((~at_bound).sum())
     if errors.size <= count:
@@ -232,7 +292,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
 
 
 def _errors_and_slopes(problem: CurveFit, theta: Array) -> tuple[Array, Array]:
-    """The errors (m,) and their derivatives (m, d), those of priors behind the data's."""
+    """Errors (m,) and their derivatives (m, d), with priors after the rows of the data."""
     errors, J = problem.errors(theta), problem.error_slopes(theta)
     if problem.prior is not None:
         errors = np.append(errors, problem.prior.residuals(theta[None])[0])
@@ -243,7 +303,7 @@ def _errors_and_slopes(problem: CurveFit, theta: Array) -> tuple[Array, Array]:
 
 
 def _influence(problem: CurveFit, errors: Array) -> tuple[Array, float]:
-    """How much each error counts, (m,), and how many of the rows count, from 0 to 1."""
+    """The influence (m,) of the errors, and the mean of its derivative."""
     psi, stiffness = problem.rho.influence(errors)
     share = float(stiffness.mean())
     if share <= 0:
@@ -256,31 +316,31 @@ def _influence(problem: CurveFit, errors: Array) -> tuple[Array, float]:
 def _variance(
     problem: CurveFit, psi: Array, stiffness: float, basis: Array, count: int
 ) -> tuple[float, int]:
-    """The variance of the errors and its degrees of freedom, for `count` parameters not held."""
+    """The variance of the errors and its degrees of freedom, for `count` free parameters."""
     freedom = psi.size - count
     if problem.scale is not None and problem.sigma_known:
         return problem.scale**2, freedom
     if problem.prior is None:
         return float(psi @ psi) / freedom / stiffness**2, freedom
     rows = len(problem.dataset)
-    known_from_data = float(np.sum(basis[:rows] ** 2))  # so many parameters, MacKay's gamma
+    known_from_data = float(np.sum(basis[:rows] ** 2))  # number of parameters, MacKay's gamma
     left = max(rows - known_from_data, 1.0)
     return float(psi[:rows] @ psi[:rows]) / left, int(left)
 
 
 def _spread(problem: CurveFit, basis: Array, errors: Array, noise: float) -> tuple[Array, int]:
-    """What rows, or events, add to the sandwich estimate, and the number of events, or 0."""
+    """Contributions of rows, or events, to the sandwich estimate, and the number of events or 0."""
     event = events_of(problem.dataset)
     if event is not None and problem.prior is None:
         # Rows of one event add up before the square.
         spread = basis * errors[:, None]
         spread = np.array([np.bincount(event, column) for column in spread.T]).T
         return spread, len(spread)
-    # What a row would err without itself in the fit; one that alone determines something has none.
+    # The error of a row in a fit without it; undefined if the row alone determines a parameter.
     left = 1 - np.sum(basis**2, axis=1)
     alone = left <= ALONE
     spread = basis * np.where(alone, noise, errors / np.where(alone, 1.0, left))[:, None]
-    if problem.prior is not None:  # one draw of each prior says nothing of its spread
+    if problem.prior is not None:  # a single deviation does not determine the spread of a prior
         rows = len(problem.dataset)
         spread[rows:] = basis[rows:] * problem.prior.scale
     return spread, 0
@@ -289,10 +349,10 @@ def _spread(problem: CurveFit, basis: Array, errors: Array, noise: float) -> tup
 def _dependent(
     at: Linearised, errors: Array, basis: Array, half: Array, series: Sequence[slice]
 ) -> Linearised:
-    """The same for errors (N,) that depend on those of neighbouring rows, if these are alike.
+    """The uncertainty for errors (N,) that depend on neighbouring rows, if they are correlated.
 
-    `basis` (N, r) is orthonormal and spans the derivatives, and `half` (d, r) turns sums of errors
-    times it into changes of the parameters. Rows are neighbours within a `series`.
+    The orthonormal `basis` (N, r) spans the derivatives, and `half` (d, r) maps sums of errors
+    times the basis to changes of the parameters. Rows are neighbours within a `series`.
     """
     alike = likeness(errors, basis, series)
     if not _resemble(alike) or not basis.shape[1]:
@@ -301,7 +361,7 @@ def _dependent(
     few_rows = errors.size / at.freedom
 
     def covariance(model: Autoregression, squares: Array | None = None) -> Array:
-        # Never below that of independent rows, as errors that swing in a wave may seem to allow.
+        # At least the covariance of independent rows, even if the errors oscillate.
         rows = np.full(errors.size, at.noise**2) if squares is None else errors**2 * few_rows
         least = (basis.T * rows) @ basis
         sums = model.variance_of_sums(basis, squares, series)
@@ -309,7 +369,7 @@ def _dependent(
         total = least + axes * np.maximum(excess, 0.0) @ axes.T
         return np.asarray(half @ total @ half.T)
 
-    # White's estimate of the innovations, with the factor for few rows; the first have no own.
+    # White's estimate of the innovations, with the factor for few rows; the first rows have none.
     squares = np.full(errors.size, model.variance)
     for own in series:
         squares[own][model.partial.size :] = model.innovations(errors[own]) ** 2 * few_rows
@@ -331,12 +391,15 @@ def _dependent(
 
 
 def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
-    """The correlation of neighbouring errors, if they are alike and priors keep it out; else 0."""
+    """The significant correlation of neighbouring errors that priors exclude from the model; or 0.
+
+    The result is 0 without priors, or if the data number events.
+    """
     if problem.prior is None or events_of(problem.dataset) is not None:
         return 0.0
     basis = np.linalg.qr(problem.error_slopes(theta))[0]
     errors = problem.errors(theta)
-    # What priors hold back is left in the errors, though the data would have it taken out.
+    # Remove the part of the errors that the parameters would fit without the priors.
     alike = likeness(errors - basis @ (basis.T @ errors), basis, series_of(problem))
     return alike.correlation if _resemble(alike) else 0.0
 
@@ -346,7 +409,7 @@ def _resemble(alike: Likeness) -> bool:
 
 
 def series_of(problem: CurveFit) -> list[slice]:
-    """The rows that follow each other: those of one part or output, where there are several."""
+    """The series of consecutive rows: one for each part or output."""
     inputs = problem.model.inputs
     columns = [problem.dataset[name] for name in (PART, OUTPUT) if name in inputs]
     moved = np.zeros(len(problem.dataset) - 1, dtype=bool)
@@ -365,7 +428,7 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
 
 
 def parameters_at_bounds(at: Linearised, space: Space) -> list[tuple[str, str, str]]:
-    """The names of parameters at a bound, which of the two it is, and its value with the unit."""
+    """Name, "lower" or "upper", and bound with unit of each parameter at a bound."""
     parameters = []
     for i in np.flatnonzero(at.at_bound):
         p = space.parameters[i]
@@ -376,7 +439,7 @@ def parameters_at_bounds(at: Linearised, space: Space) -> list[tuple[str, str, s
 
 
 def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:
-    """Which parameters (d,) are at a bound, in the space's own scales."""
+    """Marks (d,) of parameters at a bound, in the scales of the space."""
     low, high = space.bounds
     slack = AT_BOUND * (high - low)
     at = space.encode(theta)
