@@ -1,4 +1,4 @@
-"""Identification: the problem made of a model, a dataset and a space, and what it can tell."""
+"""Identification: problems of model, data and space, with reports, intervals and designs."""
 
 from typing import TYPE_CHECKING
 

@@ -8,10 +8,21 @@ from miho.quantities import Array
 
 
 def linear_optimum(problem: CurveFit) -> tuple[Array, float] | None:
-    """Parameters (d,) and loss of the global optimum in the box, by linear algebra.
+    """Solve a problem that is linear in all its parameters.
 
-    It is that of ordinary least squares, and of bounded-variable least squares if the box does not
-    hold that one. None if the problem is not linear in all its parameters.
+    Ordinary least squares gives the optimum, or bounded-variable least squares if the box does not
+    contain it.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+
+    Returns
+    -------
+    tuple of (ndarray of shape (d,), float), or None
+        The global optimum in the box, in the units of the parameters, and its loss, in the squared
+        unit of the output. None if the problem is not linear in all its parameters.
     """
     space = problem.space
     if set(problem.linear) != set(space.names):

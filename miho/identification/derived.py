@@ -1,4 +1,4 @@
-"""Quantities derived from a fitted curve: cornering stiffness, peak and where it lies."""
+"""Quantities derived from a fitted curve: cornering stiffness, peak value and peak position."""
 
 from __future__ import annotations
 
@@ -17,29 +17,37 @@ from miho.models.tied import Tied
 from miho.quantities import Array
 
 REACH = 1.5
-"""Peaks are looked for up to this many times the largest input in the data."""
+"""The search for peaks extends to this multiple of the largest input in the data."""
 GRID = 601
 STEP = 1e-6
-"""Least step of differences, as a fraction of a parameter."""
+"""Smallest step of differences, as a fraction of a parameter."""
 UNCHANGED = 1e-9
-"""A quantity that a step changes by less, as a fraction of it, changes by rounding alone: one that
-is proportional to a parameter changes by STEP at least."""
+"""A relative change of a quantity up to this is rounding: a quantity that is proportional to a
+parameter changes by at least STEP."""
 SAME = 0.1
-"""Loads within this fraction of each other are one load."""
+"""Loads count as one load if they are within this fraction of each other."""
 
 SIGNS = {
     "cornering stiffness": 1, "peak friction": 1, "mean peak force": 1,
     "peak force, alpha > 0": -1, "peak force, alpha < 0": 1,
 }  # fmt: skip
-"""The sign that quantities of these names have for every tire, in ISO-W."""
+"""The signs of these quantities for every tire, in ISO-W."""
 
 
 @dataclass(frozen=True)
 class Derived:
-    """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none.
+    """A quantity computed from parameter rows (n, d).
 
-    `tied` is the name of the tied parameter that it is, if it is one; `sign` the sign that it has
-    for every tire in ISO-W, 0 if it may have either or the model need be no tire.
+    Parameters
+    ----------
+    name, unit : str
+        Name and unit of the quantity.
+    evaluate : callable
+        Gives values (n,) at parameter rows (n, d); NaN if there is no value.
+    tied : str
+        The name of the tied or fixed parameter, if the quantity is one.
+    sign : int
+        The sign of the quantity for every tire in ISO-W; 0 if there is no such sign.
     """
 
     name: str
@@ -50,10 +58,12 @@ class Derived:
 
 
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
-    """The derived quantities of a tire (N over alpha first) or a torque curve (Nm over omega).
+    """The derived quantities of a model.
 
-    Further inputs of the model are held at their median in the data. Other models have those that
-    they declare, joint ones those of each part; parameters that are held come before.
+    A tire (N over alpha as the first input) has stiffness, peaks and friction; a torque curve (Nm
+    over omega) has its peak. Further inputs of the model are fixed at their median in the data.
+    Other models have the quantities that they declare, and joint models the quantities of each
+    part. Fixed and tied parameters come first.
     """
     if isinstance(model, Tied):
         return _tied(model, dataset)
@@ -69,7 +79,7 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 
 def _tied(model: Tied, dataset: Dataset) -> tuple[Derived, ...]:
-    """The parameters that are held, and the quantities of the whole model."""
+    """The fixed and tied parameters, and the quantities of the whole model."""
     ties = model.ties
     units = {**model.model.parameters, **ties.quantities}
 
@@ -89,7 +99,7 @@ def _tied(model: Tied, dataset: Dataset) -> tuple[Derived, ...]:
 
 
 def _of_parts(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
-    """The quantities of each part, by its own data and parameters."""
+    """The quantities of each part, from its data and parameters."""
     names, quantities = list(model.parameters), []
     for k, part in enumerate(parts_of(model)):
         places = [names.index(name) for name in part.parameters]
@@ -100,12 +110,12 @@ def _of_parts(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 
 def _chosen(quantity: Derived, places: list[int], thetas: Array) -> Array:
-    """A quantity of some of the parameters."""
+    """A quantity that depends on the parameters at some places."""
     return quantity.evaluate(thetas[:, places])
 
 
 def _signed(quantities: Iterable[Derived]) -> tuple[Derived, ...]:
-    """The quantities of a tire with the signs that their names say."""
+    """The quantities of a tire with their signs, by name."""
     return tuple(
         replace(q, sign=next((sign for name, sign in SIGNS.items() if name in q.name), 0))
         for q in quantities
@@ -113,7 +123,7 @@ def _signed(quantities: Iterable[Derived]) -> tuple[Derived, ...]:
 
 
 def _is_tire(model: Model) -> bool:
-    """Whether it is one of MIHO's tire models, weighted or not: those are in ISO-W."""
+    """Whether it is a tire model of MIHO, weighted or not, which is in ISO-W."""
     while isinstance(inner := getattr(model, "model", None), Model):
         model = inner
     kinds = (models.Pacejka, models.PacejkaCurvature, models.PacejkaLandmarks)
@@ -123,34 +133,34 @@ def _is_tire(model: Model) -> bool:
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
     """Value and standard error of a derived quantity, to first order in the parameters.
 
-    The error is NaN if the quantity depends only on parameters that are held at a bound.
+    The error is NaN if the quantity depends only on parameters at a bound.
     """
     value = float(quantity.evaluate(at.theta[None])[0])
     return value, float(at.spread(_slopes(quantity, at)[None])[0])
 
 
 def interval_of(quantity: Derived, at: Linearised, level: float) -> Array:
-    """The ends (1, 2) of its linearised interval."""
+    """The ends (1, 2) of the linearised interval of a derived quantity."""
     value, error = delta_method(quantity, at)
     reach = float(at.quantiles(gradient(quantity, at)[None], level)[0]) * error
     return np.array([[value - reach, value + reach]])
 
 
 def is_held(quantity: Derived, at: Linearised) -> bool:
-    """Whether a derived quantity depends only on parameters that are held at a bound."""
+    """Whether a derived quantity depends only on parameters at a bound."""
     slopes = _slopes(quantity, at)
     return bool(slopes[at.at_bound].any() and not slopes[~at.at_bound].any())
 
 
 def gradient(quantity: Derived, at: Linearised) -> Array:
-    """Derivatives (d,) of a derived quantity, 0 for parameters that are held at a bound."""
+    """Derivatives (d,) of a derived quantity, 0 for parameters at a bound."""
     return np.where(at.at_bound, 0.0, _slopes(quantity, at))
 
 
 def _slopes(quantity: Derived, at: Linearised) -> Array:
-    """Derivatives (d,) of a derived quantity by differences, 0 where it changes by rounding.
+    """Derivatives (d,) of a derived quantity by differences, 0 for changes up to rounding.
 
-    The difference is one-sided where the quantity has no value on the other side, beyond a bound.
+    The difference is one-sided if the quantity has a value on one side only, as beyond a bound.
     """
     step = np.maximum(1e-2 * np.sqrt(np.diag(at.covariance)), STEP * np.abs(at.theta))
     step[step == 0] = STEP
@@ -164,13 +174,13 @@ def _slopes(quantity: Derived, at: Linearised) -> Array:
 
 
 def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:
-    """Input columns with these values of the first and the median of each other."""
+    """Input columns with these values of the first input and the medians of the others."""
     held_inputs = list(model.inputs)[1:]
     return (values, *(np.full(values.size, np.median(dataset[name])) for name in held_inputs))
 
 
 def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
-    """Cornering stiffness, both peaks, and the friction there if the data say the load."""
+    """Cornering stiffness, both peaks, and the friction there if the data have the load."""
     reach = REACH * float(np.abs(dataset["alpha"]).max())
     grids = np.linspace(0, reach, GRID), np.linspace(-reach, 0, GRID)  # alpha > 0, alpha < 0
     h = 1e-4 * reach  # step of the derivative at zero slip
@@ -202,7 +212,7 @@ def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
             lambda thetas: np.asarray(thetas[:, BCD].prod(axis=1)),
         )
         quantities.insert(0, product)
-    # Friction: at one load it is that of the tire, over several loads a mean.
+    # Friction: at one load the friction of the tire, over several loads a mean.
     if "Fz" in dataset.columns:
         load = float(np.median(dataset["Fz"]))
         one_load = "Fz" in model.inputs or np.ptp(dataset["Fz"]) <= SAME * load
@@ -233,9 +243,10 @@ def _torque(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 
 def _peak(x: Array, y: Array) -> tuple[Array, Array]:
-    """Where the rows y (n, G) over an even grid x (G,) are largest, and the value there, (n,).
+    """Positions (n,) and values (n,) of the maxima of rows y (n, G) over an even grid x (G,).
 
-    A parabola through the three highest points; NaN for a row whose largest value is at an end.
+    They come from a parabola through the three highest points, and are NaN for a row whose largest
+    value is at an end.
     """
     top = y.argmax(axis=1)
     inside = (top > 0) & (top < x.size - 1)

@@ -7,25 +7,26 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.optim.seeds import stream
 from miho.quantities import Array
 
 TIED = 1e-9
-"""Random offsets, as a fraction of an input's spread, that decide between equally near points."""
+"""Random offsets that decide between equally near points, as a fraction of the spread of an
+input."""
 RESOLVED = 0.5
-"""An estimate whose interval reaches below this fraction of it is of no use."""
+"""An estimate is useless if its interval extends below this fraction of it."""
 
 FEWEST = 3
-"""Rows from which it can be estimated at all."""
+"""Smallest number of rows for an estimate."""
 SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
-"""Rows from which `irreducible_square` estimates at most: for one input, which is sorted, and for
-several, where the search for nearest neighbours takes longer the more inputs there are."""
+"""Largest numbers of rows that `irreducible_square` uses: for one input, which is sorted, and for
+several, because the search for nearest neighbours takes longer."""
 
 
 class Irreducible(NamedTuple):
-    """An estimate of the irreducible error and its interval, all in the output's unit."""
+    """An estimate of the irreducible error and its interval, all in the unit of the output."""
 
     value: float
     low: float
@@ -33,15 +34,15 @@ class Irreducible(NamedTuple):
 
     @property
     def resolved(self) -> bool:
-        """Whether the points lie close enough for the estimate to be of use."""
+        """Whether the points are close enough to each other for a useful estimate."""
         return self.low >= RESOLVED * self.value and math.isfinite(self.high)
 
 
 def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
-    """The most that the mean square of the irreducible error may be, in y's unit squared.
+    """Upper limit of the mean square of the irreducible error, in the squared unit of y.
 
-    By `irreducible_interval` for one input (N,) and `irreducible_limit` for several; of long data
-    every so many rows are used. Infinite for fewer than three.
+    It comes from `irreducible_interval` for one input (N,) and from `irreducible_limit` for
+    several. Long data are thinned evenly. The limit is infinite for fewer than three rows.
     """
     if y.size < FEWEST:
         return math.inf
@@ -51,25 +52,52 @@ def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
 
 
 def irreducible_error(x: Array, y: Array) -> float:
-    """Standard deviation of y (N,) around any smooth function of one input x (N,), in y's unit.
+    """Estimate the error that no smooth curve of one input can beat.
 
-    The difference-based estimate of Gasser, Sroka and Jennen-Steinmetz (Biometrika 73, 1986):
-    each point, ordered by x, is compared with the line through its two neighbours. It needs no
-    model, and counts measurement noise and the effect of inputs that are not in x alike. Rows of
-    equal x are compared with the mean of their neighbours. NaN for fewer than three points.
+    The estimate [1]_ compares each point, ordered by x, with the line through its two neighbours.
+    It needs no model. Measurement noise and effects of inputs other than x both count as error.
+    Rows with equal x are compared with the mean of their neighbours.
+
+    Parameters
+    ----------
+    x : ndarray of shape (N,)
+        The input.
+    y : ndarray of shape (N,)
+        The output.
+
+    Returns
+    -------
+    float
+        Standard deviation of y around a smooth function of x, in the unit of y; NaN for fewer than
+        three points.
+
+    References
+    ----------
+    .. [1] Gasser, Sroka and Jennen-Steinmetz, Residual variance and residual pattern in nonlinear
+       regression, Biometrika 73, 1986.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from miho.identification import irreducible_error
+    >>> x = np.linspace(0.0, 1.0, 500)
+    >>> noise = 0.1 * np.random.default_rng(0).standard_normal(500)
+    >>> round(irreducible_error(x, np.sin(6 * x) + noise), 2)
+    0.1
     """
     return irreducible_interval(x, y).value
 
 
 def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible:
-    """The estimate of `irreducible_error`, and an interval that holds the truth.
+    """The estimate of `irreducible_error` with an interval of a confidence level.
 
-    The mean of the squared pseudo-residuals has, for independent normal errors whose spread may
-    change along x, a variance that their fourth powers and products estimate without bias; a
-    chi-squared distribution of that variance gives the interval (Satterthwaite, Biometrics
-    Bulletin 2, 1946). Where the points lie far apart the curve's own bend counts as error: twice
-    the distance counts it sixteen times, so the lower end is below by what twice the distance
-    adds. All NaN for fewer than three points, an interval from 0 to infinity for fewer than five.
+    The errors are independent and normal, with a spread that may change along x. Fourth powers and
+    products of the pseudo-residuals then estimate the variance of their mean square without bias. A
+    chi-squared distribution with that variance gives the interval (Satterthwaite, Biometrics
+    Bulletin 2, 1946). If the points are far apart, the curvature of the curve counts as error. At
+    twice the distance its mean square is sixteen times as large, so the lower end subtracts the
+    increase from every second point. The result is NaN for fewer than three points, and the
+    interval reaches from 0 to infinity for fewer than five.
     """
     if x.size < FEWEST:
         return Irreducible(math.nan, math.nan, math.nan)
@@ -81,7 +109,7 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     value = math.sqrt(square)
     if x.size < 5 or square == 0:
         return Irreducible(value, 0.0, math.inf if x.size < 5 else value)
-    # Its interval, with a lower end that allows for the bend of the curve.
+    # The interval, with a lower end that allows for the curvature.
     freedom = 2 * square**2 / _variance(errors, weights)
     tail = (1 - level) / 2
     wider = [_pseudo_residuals(x[half::2], y[half::2])[0] for half in (0, 1)]
@@ -94,14 +122,14 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
 
 
 def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
-    """The upper end of the interval of the irreducible error for several inputs X (p, N), y's unit.
+    """Upper limit of the irreducible error for several inputs X (p, N), in the unit of y.
 
-    Half the squared difference of two points has the noise's variance for its mean, if errors are
-    independent, plus that of the function's own change between them: it is too large where points
-    lie far apart, and they lie farther apart the more inputs there are. The pairs are points that
-    are each other's nearest neighbour, with each input in units of its spread, so that none shares
-    a point with another; chance decides between neighbours at the same distance, as on a grid.
-    math.inf for fewer than five pairs.
+    For independent errors, the mean of half the squared difference of two points is the variance
+    of the noise plus a contribution from the change of the function between the points. The limit
+    is too large if points are far apart, and distances grow with the number of inputs. Pairs are
+    mutual nearest neighbours, with each input in units of its spread, so no two pairs share a
+    point. Chance decides between neighbours at the same distance, for example on a grid. The limit
+    is infinite for fewer than five pairs.
     """
     spread = X.std(axis=1, keepdims=True)
     Z = ((X - X.mean(axis=1, keepdims=True)) / np.where(spread > 0, spread, 1.0)).T
@@ -120,8 +148,11 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
 
 
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:
-    """Each inner point minus the line through its neighbours (N - 2,), scaled to have the variance
-    of the noise; and the weights (3, N - 2) of the three points, whose squares add up to 1."""
+    """Distances (N - 2,) of inner points to the line through their neighbours, and weights.
+
+    Distances are scaled to the variance of the noise. The squares of the weights (N - 2, 3) of the
+    three points add up to 1.
+    """
     width = x[2:] - x[:-2]
     a = np.divide(x[2:] - x[1:-1], width, out=np.full(width.shape, 0.5), where=width > 0)
     weights = np.array([a, np.full(a.shape, -1.0), 1 - a])
@@ -130,11 +161,11 @@ def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _variance(errors: Array, weights: Array) -> float:
-    """Variance of the mean of the squared errors (n,), which share points with two neighbours.
+    """Variance of the mean square of errors (n,) that share points with two neighbours each.
 
-    For normal errors e with correlation r, e^4 / 3 estimates s^4, the variance of e^2 by two, and
-    e_i^2 e_j^2 / (1 + 2 r^2) the product of two variances; the covariance of e_i^2 and e_j^2 is
-    2 r^2 times that.
+    For normal errors e with correlation r, e^4 / 3 estimates s^4, half the variance of e^2, and
+    e_i^2 e_j^2 / (1 + 2 r^2) estimates the product of two variances. The covariance of e_i^2 and
+    e_j^2 is 2 r^2 times that product.
     """
     total = 2 * float(np.sum(errors**4)) / 3
     for lag, shared in (

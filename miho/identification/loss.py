@@ -1,4 +1,4 @@
-"""Losses that do not let outliers decide: Huber and Cauchy beside the squared error (Eq. 5)."""
+"""Loss functions: the squared error (Eq. 5), and Huber and Cauchy, which limit outliers."""
 
 from __future__ import annotations
 
@@ -12,39 +12,62 @@ from miho.validate import positive
 
 
 class Loss(ABC):
-    """A loss as the mean square of transformed residuals, so that every method can minimise it.
+    """A loss function rho, as the square of transformed residuals sign(r) sqrt(rho(r)).
 
-    With rho the loss of one residual r, the transformed residual is sign(r) sqrt(rho(r)).
+    Every method for least squares can minimise the mean square of transformed residuals.
     """
 
     @abstractmethod
     def transform(self, residuals: Array) -> Array:
-        """Transformed residuals, of any shape, in the residuals' unit; may reuse the argument."""
+        """Transform residuals.
+
+        Parameters
+        ----------
+        residuals : ndarray of any shape
+            Residuals in the unit of the output. The result may reuse the array.
+
+        Returns
+        -------
+        ndarray
+            sign(r) sqrt(rho(r)), in the same unit.
+        """
 
     @abstractmethod
     def influence(self, residuals: Array) -> tuple[Array, Array]:
-        """psi = rho'(r) / 2 and its derivative (Huber, Robust Statistics, 1981)."""
+        """The influence psi = rho'(r) / 2 and its derivative (Huber, Robust Statistics, 1981)."""
 
 
 @dataclass(frozen=True)
 class Square(Loss):
-    """rho = r^2, the paper's loss (Eq. 5): right for noise without outliers."""
+    """The squared error rho = r^2, the loss of the paper (Eq. 5), for noise without outliers."""
 
     def transform(self, residuals: Array) -> Array:
         """The residuals themselves."""
         return residuals
 
     def influence(self, residuals: Array) -> tuple[Array, Array]:
-        """psi = r."""
+        """The influence psi = r and its derivative 1."""
         return residuals, np.ones_like(residuals)
 
 
 @dataclass(frozen=True)
 class Huber(Loss):
-    """rho = r^2 within `scale` and 2 scale |r| - scale^2 beyond: outliers pull with a fixed force.
+    """The Huber loss: rho = r^2 up to `scale`, and 2 scale |r| - scale^2 beyond.
 
-    `scale` has the output's unit. 1.345 times the standard deviation of the noise keeps 95 % of
-    the efficiency of least squares on normal noise.
+    The influence of an outlier is constant.
+
+    Parameters
+    ----------
+    scale : float
+        Largest residual with the squared loss, in the unit of the output. A scale of 1.345 standard
+        deviations of normal noise keeps 95 % of the efficiency of least squares.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from miho.identification import Huber
+    >>> Huber(1.0).transform(np.array([0.5, 13.0]))
+    array([0.5, 5. ])
     """
 
     scale: float
@@ -59,17 +82,23 @@ class Huber(Loss):
         return np.where(size <= self.scale, residuals, np.sign(residuals) * outer)
 
     def influence(self, residuals: Array) -> tuple[Array, Array]:
-        """psi = r, limited to +-scale."""
+        """The influence psi = r, limited to +-scale, and its derivative."""
         inside = np.abs(residuals) <= self.scale
         return np.clip(residuals, -self.scale, self.scale), inside.astype(float)
 
 
 @dataclass(frozen=True)
 class Cauchy(Loss):
-    """rho = scale^2 ln(1 + (r / scale)^2): far outliers hardly count, but minima may multiply.
+    """The Cauchy loss: rho = scale^2 ln(1 + (r / scale)^2).
 
-    `scale` has the output's unit. 2.385 times the standard deviation of the noise keeps 95 % of
-    the efficiency of least squares on normal noise.
+    The influence of an outlier vanishes with its distance, but a problem may have more local
+    minima than with other losses.
+
+    Parameters
+    ----------
+    scale : float
+        Residual with the largest influence, in the unit of the output. A scale of 2.385 standard
+        deviations of normal noise keeps 95 % of the efficiency of least squares.
     """
 
     scale: float
@@ -83,7 +112,7 @@ class Cauchy(Loss):
         return np.asarray(np.sign(z) * self.scale * np.sqrt(np.log1p(z * z)))
 
     def influence(self, residuals: Array) -> tuple[Array, Array]:
-        """psi = r / (1 + (r / scale)^2)."""
+        """The influence psi = r / (1 + (r / scale)^2) and its derivative."""
         z = (residuals / self.scale) ** 2
         return residuals / (1 + z), (1 - z) / (1 + z) ** 2
 

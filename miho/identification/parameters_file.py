@@ -27,16 +27,30 @@ if TYPE_CHECKING:
 KINDS = ("profile", "bootstrap", "linearised")
 """Kinds of intervals, the best first."""
 MEAN_SPEED = "mean vx"
-"""A derived quantity of an axle: the speed [m/s] at whose loads its forces were measured."""
+"""A derived quantity of an axle: the mean speed [m/s] of its data, which determines its loads."""
 
 
 def interval_kind(table: pd.DataFrame) -> str:
-    """The best kind of interval that a table of a report has, "" if it has none."""
+    """The best kind of interval in a table of a report; empty if there is none."""
     return next((kind for kind in KINDS if f"{kind} low" in table.columns), "")
 
 
 def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
-    """The model that a report is of; `origin` says what regenerates the run."""
+    """The content of `parameters.json` from a report.
+
+    Parameters
+    ----------
+    report : Report
+        The report on the identified model.
+    origin : mapping of str
+        The provenance of the run: all that is needed to repeat it.
+
+    Returns
+    -------
+    Identified
+        The model with values, intervals, correlation, ranges of the data, derived quantities and
+        provenance.
+    """
     kind = interval_kind(report.parameters)
     values = {row["parameter"]: _value(row, kind) for row in report.parameters.to_dict("records")}
     model, values, correlation = _whole(report.problem, report.at, values, report.level)
@@ -66,9 +80,9 @@ def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
 
 
 def identified_at(problem: CurveFit, theta: Array) -> Identified:
-    """The model at `theta` (d,), without a report, with linearised intervals of the optimum nearby.
+    """The model at `theta` (d,), without a report, with linearised intervals of the nearby optimum.
 
-    Errors are NaN where there are no such intervals, as for data with fewer rows than parameters.
+    Standard errors are NaN if there are no intervals, for example with fewer rows than parameters.
     """
     size = len(theta)
     errors, ends, at = np.full(size, math.nan), np.full((size, 2), math.nan), None
@@ -93,9 +107,9 @@ def identified_at(problem: CurveFit, theta: Array) -> Identified:
 def _whole(
     problem: CurveFit, at: Linearised, free: Mapping[str, Value], level: float = 0.95
 ) -> tuple[Model, dict[str, Value], Array]:
-    """The model of all parameters, their values from those of the free ones, their correlation.
+    """The model of all parameters, their values from values of the free ones, and correlations.
 
-    Tied ones get linearised intervals here; a fixed one is as exact as it was given.
+    Tied parameters get linearised intervals; fixed parameters have standard error 0.
     """
     model = whole_model(problem.model)
     if model is problem.model:
@@ -118,7 +132,7 @@ def _whole(
 
 
 def _ranges(problem: CurveFit) -> dict[str, tuple[float, float]]:
-    """The smallest and largest value in the data of each input of the model."""
+    """The range of each input of the model in the data."""
     return {
         name: (float(problem.dataset[name].min()), float(problem.dataset[name].max()))
         for name in problem.model.inputs

@@ -92,7 +92,7 @@ def make_report(
     better : ndarray of shape (d,), optional
         The result of the check. The report describes the optimum near it if that is better.
     optimum : ndarray of shape (d,), optional
-        The end of an earlier descent from `run`, which is not repeated then.
+        The end of an earlier descent from `run`; the descent of the report starts there.
     moving : int, optional
         Evaluations after which the descent to `optimum` was still improving; 0 if it converged.
     found_by : str, optional

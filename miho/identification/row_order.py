@@ -1,16 +1,16 @@
-"""The order in which a fidelity takes the rows: random, but soon over the whole range of inputs.
+"""The order of rows for fidelities: random, with early rows that cover the range of the inputs.
 
-In a random order a parameter that only one row in a hundred determines is not determined by the
-first rows: its derivatives are all but zero there. In this one, of the first m rows some sqrt(m)
-cover the inputs' range in value, and the others are random: the mean over the first rows is off by
-the weight of the covering rows, 1 / sqrt(m), which is no more than the chance in m random rows.
+If only one row in a hundred determines a parameter, the first rows of a random order hardly
+determine it. In this order, about sqrt(m) of the first m rows cover the range of the inputs, and
+the others are random. The covering rows have the weight 1 / sqrt(m) in the mean over the first m
+rows, so the bias of the mean is no larger than its random error.
 
-The covering rows of the inputs' bounding box are those of its two halves in turn, each of which is
-shrunk to its rows and halved in the same way. A box is split at the middle of an input, not at its
-median, so that a few rows far out are a half; of the inputs along which it is long, at the one
-whose halves hold the most different numbers of rows. What determines a parameter without being far
-out in an input, such as the first moments of a transient, is as rare here as it is at random.
-`experiments.check.row_order` compares this order with others.
+Covering rows come from the two halves of the bounding box of the inputs in turn. Each half shrinks
+to its rows and is halved in the same way. A box is split at the middle of an input, not at the
+median, so that a few remote rows form a half. Among the inputs along which the box is long, the
+split uses the one whose halves differ most in their numbers of rows. Rows that determine a
+parameter without an extreme input, for example at the beginning of a transient, are as rare as in
+a random order. `experiments.check.row_order` compares this order with others.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from miho.quantities import Array
 Rows = NDArray[np.intp]
 
 POOL = 300_000
-"""Random rows among which covering ones are chosen: of rows one in 10,000 there are 30 in it."""
+"""Number of random rows to choose covering rows from; 30 of them for 1 row in 10,000."""
 COVERING = 256
-"""Covering rows at most: the first 65,536 rows hold all of them."""
+"""Largest number of covering rows: the first 65,536 rows contain all of them."""
 RARE = 1 / 4
-"""A half with a smaller share of its box's rows comes first; else chance decides."""
+"""A half with a smaller share of the rows of its box comes first; else chance decides."""
 FEW = 8
-"""A box with at most so many rows is not split."""
+"""A box with at most this many rows is not split."""
 LONG = 1 / 8
-"""A box is split along an input along which it has at least this much of its largest length."""
+"""A box is split along inputs in which it has at least this fraction of its largest length."""
 
 
 def row_order(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
-    """A permutation (N,) of the rows of the input columns (N,), N at least 1: see this module.
+    """A permutation (N,) of the rows of input columns (N,), N at least 1, as the module describes.
 
     The k-th covering row, counted from 0, has place k^2.
     """
@@ -54,7 +54,7 @@ def row_order(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
 def covering_rows(
     inputs: Sequence[Array], order: Rows, most: int, rng: np.random.Generator
 ) -> Rows:
-    """The `most` rows that come first in covering the inputs' range; `order` (N,) is random."""
+    """The first `most` rows that cover the range of the inputs; `order` (N,) is random."""
     pool = order[:POOL]
     columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
     if len(columns) == 1:
@@ -65,7 +65,7 @@ def covering_rows(
 
 
 def merged(order: Rows, covering: Rows, places: Rows) -> Rows:
-    """`order` (N,) with the rows of `covering` (k,) at `places` (k,), which differ and are < N."""
+    """`order` (N,) with rows `covering` (k,) at distinct `places` (k,) below N."""
     others = np.ones(order.size, dtype=bool)
     others[covering] = False
     rest = order[others[order]]
@@ -77,13 +77,13 @@ def merged(order: Rows, covering: Rows, places: Rows) -> Rows:
 
 
 def _unit(column: Array) -> Array:
-    """The column moved and scaled to [0, 1]; zeros if it is constant."""
-    low, high = column.min() / 2, column.max() / 2  # halves, whose difference is a number
+    """The column scaled to [0, 1]; zeros if it is constant."""
+    low, high = column.min() / 2, column.max() / 2  # the difference of halves does not overflow
     return (column / 2 - low) / (high - low) if high > low else np.zeros_like(column)
 
 
 def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Iterator[int]:
-    """All rows (n,) of a box with these columns (n,) each, its two halves in turn."""
+    """All rows (n,) of a box with columns (n,) each, from its two halves in turn."""
     split = _split(columns) if rows.size > FEW else None
     if split is None:
         yield from rows.tolist()
@@ -94,14 +94,14 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
     halves = []
     for (side,) in map(np.nonzero, sides):
         halves.append(_covering([column[side] for column in columns], rows[side], rng))
-    del columns, rows, split, sides, side  # so that of a large pool each row is in memory once
+    del columns, rows, split, sides, side  # keep one copy of a large pool in memory
     yield from _in_turn(halves)
 
 
 class _Line(NamedTuple):
-    """Boxes of one column, which are parts of its sorted values.
+    """Boxes of one column, as parts of its sorted values.
 
-    `places` are those of the rows before they were sorted, at random.
+    `places` are the random places of the rows before sorting.
     """
 
     values: list[float]
@@ -109,8 +109,8 @@ class _Line(NamedTuple):
     rng: np.random.Generator
 
     def covering(self, i: int, j: int) -> Iterator[int]:
-        """The places of the rows i to j, those of their box's two halves in turn."""
-        low, high = self.values[i], self.values[j - 1]
+        """The places of the rows i to j, from the two halves of their box in turn."""
+        low, high = self.values[i].item(), self.values[j - 1].item()
         if j - i <= FEW or not high > low:
             yield from sorted(self.places[i:j].tolist())
             return
@@ -123,12 +123,12 @@ class _Line(NamedTuple):
 
 
 def _lower_first(upper: float, rng: np.random.Generator) -> bool:
-    """Whether the lower half comes first, where the upper one has this share of the rows."""
+    """Whether the lower half comes first, if the upper half has this share of the rows."""
     return bool(upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5))
 
 
 def _in_turn(halves: list[Iterator[int]]) -> Iterator[int]:
-    """What the halves give, in turn."""
+    """Rows from the halves in turn."""
     while halves:
         for half in tuple(halves):
             row = next(half, None)
@@ -139,7 +139,7 @@ def _in_turn(halves: list[Iterator[int]]) -> Iterator[int]:
 
 
 def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
-    """Which rows of a box are in its upper half; None for a box without any length."""
+    """Marks of the rows in the upper half of a box; None for a box of zero length."""
     lows = [float(np.minimum.reduce(column)) for column in columns]
     highs = [float(np.maximum.reduce(column)) for column in columns]
     longest = max((high - low for low, high in zip(lows, highs, strict=True)), default=0.0)
@@ -149,7 +149,7 @@ def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
     for column, low, high in zip(columns, lows, highs, strict=True):
         if high - low >= LONG * longest:
             middle = low + (high - low) / 2
-            # Between two neighbouring floating-point numbers there is no middle: it rounds to high.
+            # The middle of two neighbouring floating-point numbers rounds to high.
             splits.append(column > (middle if middle < high else low))
     imbalances = [abs(2 * np.count_nonzero(split) - split.size) for split in splits]
     return splits[int(np.argmax(imbalances))]
