@@ -313,7 +313,7 @@ def test_an_order_changes_no_errors_of_a_fit_without_bounds() -> None:
     np.testing.assert_allclose(errors[1:], errors[0], rtol=1e-4)
     for result in results:
         assert not result.uncertainty.at_bound.any()
-        assert "constraints hold" not in str(result)
+        assert "ends at a constraint" not in str(result)
 
 
 def test_a_limit_and_an_order_have_the_optimum_of_the_limit() -> None:

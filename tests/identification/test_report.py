@@ -171,7 +171,7 @@ def test_data_without_error_are_reported(rounding: float) -> None:
     assert report.at.theta == pytest.approx([1.0, 2.0], rel=1e-12)
     assert report.error < 1e-13
     assert report.notes[-1] == "every row is reproduced to rounding: the data have no error."
-    assert not any("shape" in note or "alike" in note for note in report.notes)
+    assert not any("shape" in note or "correlated" in note for note in report.notes)
     assert len(report.errors) == 3
 
 

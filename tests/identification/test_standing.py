@@ -24,7 +24,7 @@ from tests.identification.published import misra1a
 Array = NDArray[np.float64]
 
 BLAME = (
-    "not identifiable", "wrong shape", "which is no input", "units, signs", "told from 0",
+    "not identifiable", "wrong shape", "which is not an input", "units, signs", "from 0: its",
     "hard to distinguish", "do not depend on", "does not determine", "are correlated",
 )  # fmt: skip
 
