@@ -33,7 +33,7 @@ MEANING = {
     "evaluations": ("evaluations of the loss", "used so far, including fractions"),
     "seconds": ("s", "wall clock of the method alone"),
     "cpu_seconds": ("s", "processor time of the method alone"),
-    "setup_seconds": ("s", "imports, compilation and warm-up, not in seconds"),
+    "setup_seconds": ("s", "imports and tracing before the clock starts, not in seconds"),
     "irreducible": ("see column unit", "estimated smallest error of any model of these inputs"),
     "irreducible_low": ("see column unit", "lower end of that estimate's 95 % interval"),
     "irreducible_high": ("see column unit", "upper end of it"),

@@ -122,6 +122,8 @@ def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...])
         if len(thetas) > 1:
             return all(_same(model, called, row[None], inputs) for row in thetas)
         return _raises(called, thetas, inputs)
+    if np.array_equal(first, second):
+        return True
     # Rows are compared on separate scales; numbers that are not finite have no value.
     finite = [np.where(np.isfinite(values), values, np.nan) for values in (first, second)]
     size = np.nan_to_num(np.abs(finite[0])).max(axis=1, keepdims=True, initial=0.0)

@@ -1,4 +1,4 @@
-"""The search of a problem: by the machine, or in NumPy first and compiled if it takes long."""
+"""The search of a problem, and the descent to the optimum that it has found."""
 
 from __future__ import annotations
 
@@ -25,11 +25,7 @@ from miho.optim import (
 from miho.optim.usable_values import NOT_FINITE
 from miho.parallel import Evaluations
 
-NUMPY_SECONDS, PER_EVALUATION, PER_ROW = 2.0, 3e-4, 3e-6
-"""Estimated seconds: limit for all searches of one formula in NumPy, one evaluation in NumPy, and
-each of its rows in addition."""
-numpy_seconds: defaultdict[object, float] = defaultdict(float)
-"""The estimated seconds that the searches of each formula have taken in this process."""
+DEFAULT = MIHOGN()
 
 
 def searched(
@@ -41,8 +37,7 @@ def searched(
 ) -> Fit:
     """The optimum of a problem, by `MIHOGN()` unless another method is given.
 
-    `evaluations`, if given, evaluates search and descent. Raises KeyboardInterrupt after a Ctrl-C,
-    and ValueError if no finite value was found.
+    `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
     """
     method = DEFAULT if method is None else method_of(method)
     check_budget(budget)
@@ -57,7 +52,7 @@ def searched(
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
     name = title(problem)
-    # A small budget may end before an evaluation on all rows.
+    # A small budget may end before any look at all rows of the data.
     theta = run.provisional if run.theta is None else run.theta
     if theta is None and not run.rejected and run.error is None:
         raise ValueError(f"{name}: the budget ended before the first value; give a larger one")
@@ -71,7 +66,7 @@ def searched(
         reason = run.error.strip().splitlines()[-1]
         sys.stderr.write(f"miho: {name}: its best is taken, the search failed: {reason}\n")
     descent = refit(spread(problem, evaluations), theta)
-    if not math.isfinite(descent.cost):  # the search may have used a part of the rows
+    if not math.isfinite(descent.cost):  # as it may be on rows that the search did not look at
         raise ValueError(f"{name}: no finite value was found on all rows; give a larger budget")
     called = by_calls(problem, descent.theta[None], evaluations)
     if called is not None:
@@ -88,9 +83,9 @@ def searched(
 
 
 def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> Fit:
-    """The fit at the best of its optima, with exact minima for all optima within the noise.
+    """The fit at the best of its optima; its descents keep those within the noise to all digits.
 
-    A report then repeats no descents, whose evaluations may be expensive.
+    So nothing has to be descended to again, where an evaluation may take long.
     """
     if fit.descents is None:
         return fit
@@ -105,58 +100,8 @@ def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> F
     return replace(fit, theta=optima[0].theta, descents=descents, moving=optima[0].moving)
 
 
-def _run(
-    problem: CurveFit,
-    method: Optimizer,
-    budget: Budget,
-    seed: int,
-    evaluations: Evaluations | None,
-) -> tuple[CurveFit, RunRecord]:
-    """Search a problem, and compile its formula only if that is needed and the search takes long.
-
-    The machine searches a formula at once. Without the machine, the search starts in NumPy, and
-    after about NUMPY_SECONDS the compiled problem continues from the same state. The time is
-    estimated from the number of evaluations, so the result does not depend on the processor. All
-    searches of one formula in this process share it.
-    """
-
-    def run(
-        problem: CurveFit, budget: Budget, checkpoint: Checkpoint | None = None
-    ) -> tuple[CurveFit, RunRecord]:
-        return problem, minimize(
-            method, problem, budget, seed, checkpoint=checkpoint, rehearse=False,
-            workers=evaluations, observer=pace_line(problem, method, budget),
-        )  # fmt: skip
-
-    checkpoint = None
-    model = problem.model
-    by_machine = problem.kernel is not None and problem.kernel.taped is not None
-    undecided = problem.compiled is None and isinstance(method, MIHOGN) and not by_machine
-    if undecided and isinstance(model, Expression):
-        formula = getattr(model.value, "__code__", type(model))
-        seconds = PER_EVALUATION + PER_ROW * problem.residual_count
-        most = int((NUMPY_SECONDS - numpy_seconds[formula]) / seconds)
-        limits = most if budget.evaluations is None else min(most, budget.evaluations)
-        if most > 0:
-            plain = replace(problem, compiled=False, dear=True)
-            plain, first = run(plain, replace(budget, evaluations=limits))
-            numpy_seconds[formula] += first.evaluations * seconds
-            if _ended(first, budget) or limits == budget.evaluations:
-                return plain, first
-            checkpoint = first.checkpoint
-        problem = replace(problem, compiled=True, dear=True)
-    if problem.kernel is not None and machine() is None:
-        _say_that_formulas_are_compiled()
-    if problem.kernel is not None and method.uncompiled:
-        sys.stderr.write(
-            "miho: compiling the search, once on this machine, for about half a minute "
-            "(compiled=False does without)\n"
-        )
-    return run(problem, budget, checkpoint)
-
-
 def _left(budget: Budget, run: RunRecord) -> Budget | None:
-    """The rest of the budget after a run; None if the run used more than is left."""
+    """What a run has left of its budget; None if that is less than it has spent."""
     evaluations, seconds = budget.evaluations, budget.seconds
     if evaluations is not None:
         evaluations -= math.ceil(run.evaluations)
@@ -165,20 +110,3 @@ def _left(budget: Budget, run: RunRecord) -> Budget | None:
     few = evaluations is not None and evaluations < run.evaluations
     late = seconds is not None and seconds < run.seconds
     return None if few or late else replace(budget, evaluations=evaluations, seconds=seconds)
-
-
-@cache
-def _say_that_formulas_are_compiled() -> None:
-    """Write once per process that compiling each formula takes seconds."""
-    sys.stderr.write(
-        "miho: compiling each formula takes some seconds, as the library was installed without a "
-        "C compiler\n"
-    )
-
-
-def _ended(run: RunRecord, budget: Budget) -> bool:
-    """Whether a run ended for another reason than the number of its evaluations."""
-    if run.outcome not in (Outcome.BUDGET, Outcome.NO_FINITE_VALUE) or run.checkpoint is None:
-        return True
-    late = budget.seconds is not None and run.seconds >= budget.seconds
-    return late or (budget.target is not None and run.loss <= budget.target)

@@ -190,20 +190,6 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = 
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
         return model  # the check refuses it later
-    parameters = {parameter.name: parameter for parameter in space.parameters}
-    rng = np.random.default_rng(0)
-    thetas = np.empty((TRIALS, len(model.parameters)))
-    for k, name in enumerate(model.parameters):
-        known = parameters.get(name)
-        if known is not None and known.free:
-            own = Space((known,))
-            sampling = "uniform" if known.std is None else "normal"
-            thetas[:, k] = own.decode(own.sample(TRIALS, rng, sampling))[:, 0]
-            continue
-        thetas[:, k] = 0.5 + rng.random(TRIALS)
-        if known is not None and known.fixed is not None:
-            thetas[:, k] = known.fixed
-    columns = [dataset[name] for name in model.inputs]
     if model.tried != UNTRIED:
         return model
     thetas = _trials_of(model, space)

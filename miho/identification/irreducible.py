@@ -150,7 +150,7 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:
     """Distances (N - 2,) of inner points to the line through their neighbours, and weights.
 
-    Distances are scaled to the variance of the noise. The squares of the weights (N - 2, 3) of the
+    Distances are scaled to the variance of the noise. The squares of the weights (3, N - 2) of the
     three points add up to 1.
     """
     width = x[2:] - x[:-2]

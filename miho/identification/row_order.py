@@ -110,7 +110,7 @@ class _Line(NamedTuple):
 
     def covering(self, i: int, j: int) -> Iterator[int]:
         """The places of the rows i to j, from the two halves of their box in turn."""
-        low, high = self.values[i].item(), self.values[j - 1].item()
+        low, high = self.values[i], self.values[j - 1]
         if j - i <= FEW or not high > low:
             yield from sorted(self.places[i:j].tolist())
             return

@@ -258,7 +258,9 @@ def _library(name: str) -> Any:
 
 def versions() -> dict[str, str]:
     """Versions that must agree between a client and its workers."""
-    libraries = {name: importlib.metadata.version(name) for name in ("distributed", "cloudpickle")}
+    from importlib import metadata  # only here: it is slow to import
+
+    libraries = {name: metadata.version(name) for name in ("distributed", "cloudpickle")}
     try:
         ours = metadata.version("miho")
     except metadata.PackageNotFoundError:

@@ -110,7 +110,7 @@ class Worth:
             pass
         elif usage.each is None:
             usage.each = each
-        elif here and usage.here < FIRST:  # the first may have loaded or compiled something
+        elif here and usage.here < FIRST:  # the first may have loaded something
             usage.each = min(usage.each, each)
         else:
             usage.each += (1 - (1 - LATEST) ** rows) * (each - usage.each)

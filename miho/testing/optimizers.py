@@ -101,7 +101,7 @@ def run_check(
 
 
 def _run_observed(optimizer: Optimizer, evaluations: int) -> tuple[Oracle, DecayFit]:
-    """The oracle and the problem, which records evaluations, after one run without warm-up."""
+    """The oracle and the problem, which records evaluations, after one run."""
     problem = DecayFit()
     space = problem.space.seeded(problem.name, 3)
     oracle = Oracle(problem, Budget(evaluations=evaluations), space=space)

@@ -28,8 +28,7 @@ LABEL_ROOM = 2.2
 def loss_figure(frame: pd.DataFrame) -> Figure:
     """Nanoseconds per point over the rows, for batches of one and for the largest batches.
 
-    The frame has the columns rows, batch, method, ns; the method `limit` is the processor's limit,
-    independent of the batch.
+    The frame has the columns rows, batch, method, ns.
     """
     require_columns(frame, {"rows", "batch", "method", "ns"}, "frame")
     with house_style():

@@ -176,9 +176,7 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
         Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
         Section(
             "Interpretation",
-            report.notes
-            if report.standing.doubt
-            else [f"optimum: {report.standing.statement}.", *report.notes],
+            report.notes if report.standing.doubt else [report.standing.statement, *report.notes],
         ),
         Section(
             "Optima that the data cannot distinguish",
