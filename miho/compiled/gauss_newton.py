@@ -40,6 +40,11 @@ SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 SECANT = 0.7
 """Where the gain is more than this share of the predicted one the next derivatives are Broyden's,
 a few times running: they cost nothing."""
+BEND = 0.75
+"""A refused trial is corrected for curvature where this turns its step by no more than such a share
+of it, in the metric of the scales (Transtrum and Sethna, 2012)."""
+CORRECTED = -1
+"""As the number of secants: the trial is a corrected one."""
 DONE_DAMPING, DONE_LESS = 1e-3, 1e-3
 """Where the predicted gain is below the tolerance, a candidate is done if the damping is no more
 than the first, or the gain no more than the second share of the tolerance; else the damping may be
@@ -119,6 +124,7 @@ def judge_trial(
     actual, predicted = (c.loss[i] - loss) * m, c.predicted_gain[i]
     rho = actual / predicted if predicted > 0 and math.isfinite(loss) else -1.0
     if rho > ACCEPTED:
+        c.secants[i] = max(c.secants[i], 0)
         # The next derivatives are Broyden's where the linear model holds well.
         secant = (
             rho > SECANT
@@ -141,19 +147,72 @@ def judge_trial(
         c.stage[i] = SLOPES
         if secant:
             c.secants[i] += 1
-            refold(c.derivatives[i], d, d, m, w)
+            refold(c.derivatives[i], d, c.derivatives[i, d], m, w)
             take_factor(c, i, box, w)
             if c.stage[i] == UNUSABLE:
                 c.stage[i], c.secants[i] = SLOPES, 0
         if loss <= rules.rounding:
             c.stage[i] = DONE
-    elif c.secants[i]:
-        # Refused: updated derivatives may be the reason, so evaluate them; else damp more.
+    elif c.secants[i] > 0:
+        # Refused: updated derivatives may be the reason, so evaluate them.
         c.stage[i], c.secants[i] = SLOPES, 0
+    elif math.isfinite(loss) and correct_trial(c, i, m, rules, w):
+        c.secants[i] = CORRECTED  # or curvature
     else:
+        # Else damp more.
+        c.secants[i] = 0
         c.damping[i] = max(c.damping[i] * c.growth[i], RESTART_DAMPING)
         c.growth[i] *= 2.0
         c.stage[i] = DONE if c.damping[i] > LARGEST_DAMPING else READY
+
+
+def correct_trial(c: GNCandidates, i: int, m: int, rules: GNRules, w: Work) -> bool:
+    """Correct a refused trial for the curvature that its residuals, in w, show.
+
+    Along the step v they are r + J v + b, where b is the bend of the residuals. The corrected step
+    minimises |J s + r + b|^2 with the same damping: to second order it is v and half the geodesic
+    acceleration (Transtrum and Sethna, 2012), for no more derivatives. False where derivatives are
+    not stored or updated, where the trial was corrected already, and where it would turn too far.
+    """
+    d = c.x.shape[1]
+    if c.derivatives.shape[2] == 0 or c.projects[i] or c.secants[i]:
+        return False
+    # Q' (r + b) from the residuals of the trial.
+    x, trial, q = c.x[i], c.trial[i], w.T[:, d]
+    refold(c.derivatives[i], d, w.residuals, m, w)
+    for k in range(d):
+        for j in range(k, d):
+            q[k] -= c.R[i, k, j] * (trial[j] - x[j])
+        if not math.isfinite(q[k]):
+            return False
+        w.low[k], w.high[k] = max(-x[k], -rules.reach), min(1 - x[k], rules.reach)
+    set_damping(c, i, d, w.scale)
+    solve_in_box(c.R[i], q, w.scale, w.low, w.high, d, w.step, w.solver)
+    turn, length = 0.0, 0.0
+    for k in range(d):
+        before = c.D[i, k] * (trial[k] - x[k])
+        change = c.D[i, k] * w.step[k] - before
+        turn += change * change
+        length += before * before
+    if turn > BEND * BEND * length:
+        return False
+    for k in range(d):
+        trial[k] = min(max(x[k] + w.step[k], 0.0), 1.0)
+    return True
+
+
+def set_damping(c: GNCandidates, i: int, n: int, scale: Array) -> None:
+    """Write the damping of the first n coordinates as square roots.
+
+    The more damping, the more alike coordinates count. A scale is what derivatives say of a
+    parameter where the candidate is; long steps along those without effect there would be refused.
+    """
+    largest = 0.0
+    for k in range(n):
+        largest = max(largest, c.D[i, k])
+    root, alike = math.sqrt(c.damping[i]), min(c.damping[i], 1.0) * largest * largest
+    for k in range(n):
+        scale[k] = root * math.sqrt(c.D[i, k] * c.D[i, k] + alike)
 
 
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
@@ -185,13 +244,13 @@ def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> N
     columns[d, :m] = w.residuals[:m]
 
 
-def refold(columns: Array, count: int, last: int, m: int, w: Work) -> None:
-    """The triangular factor of the first `count` columns (., m) and number `last`, into w.T."""
+def refold(columns: Array, count: int, last: Array, m: int, w: Work) -> None:
+    """The triangular factor of the first `count` columns (., m) and of `last`, into w.T."""
     clear(w.T)
     for start in range(0, m, CHUNK):
         size = min(CHUNK, m - start)
         for k in range(count + 1):
-            column = columns[k if k < count else last]
+            column = columns[k] if k < count else last
             copy(column[start : start + size], w.chunk[k])
         fold(w.T, w.chunk, size, count + 1)
 
@@ -215,9 +274,7 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
     for k in range(n):
         square += c.q[i, k] * c.q[i, k]
     for _ in range(TRIES):
-        root = math.sqrt(c.damping[i])
-        for k in range(n):
-            scale[k] = root * c.D[i, k]
+        set_damping(c, i, n, scale)
         solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.solver)
         c.predicted_gain[i] = square - norm(c.R[i], c.q[i], n, w.step)
         predicted = c.predicted_gain[i] / total if total > 0 else 0.0

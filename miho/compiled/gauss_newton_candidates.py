@@ -37,12 +37,13 @@ class GNCandidates(NamedTuple):
     (n,): by how much the linear model says that the trial lowers the sum of squares. sums (n,
     levels): sums of squares over the rows of each level, of the last look at all rows. stage (n,):
     see above; stage_after_record (n,): the stage that follows RECORD. secants (n,): how many times
-    running the derivatives were updated (Broyden) instead of evaluated. trials (n,): in this block.
-    spent (n,): rows evaluated. loss_at_mark, spent_at_mark (n,): loss and rows at the last mark,
-    from which progress is measured. fading (n,): a scale falls by no more than this factor from one
-    step to the next; at 1 it never falls (Moré, 1978). projects (n,): whether the linear parameters
-    are solved for at every look. derivatives (n, d + 1, m): where Broyden's update needs them, the
-    derivatives by parameter and last the residuals; else m = 0.
+    running the derivatives were updated (Broyden) instead of evaluated; or CORRECTED, if the trial
+    is a corrected one. trials (n,): in this block. spent (n,): rows evaluated. loss_at_mark,
+    spent_at_mark (n,): loss and rows at the last mark, from which progress is measured. fading
+    (n,): a scale falls by no more than this factor from one step to the next; at 1 it never falls
+    (Moré, 1978). projects (n,): whether the linear parameters are solved for at every look.
+    derivatives (n, d + 1, m): where Broyden's update needs them, the derivatives by parameter and
+    last the residuals; else m = 0.
 
     All but R and derivatives are views of `numbers` and `counts`, a row for each candidate, because
     a call of the machine takes longer the more arrays it is given.

@@ -104,7 +104,7 @@ def factor_columns(
     columns: Array, count: int, w: Work,
 ) -> None:  # fmt: skip
     """`take_factor` of the first `count` of columns (d + 1, m) and of the last, the residuals."""
-    refold(columns, count, columns.shape[0] - 1, columns.shape[1], w)
+    refold(columns, count, columns[-1], columns.shape[1], w)
     take_factor(c, i, box, w)
 
 
@@ -118,7 +118,7 @@ def solve_columns(
 ) -> float:
     """`solve_linear` from columns (p + 1, m): the p linear parameters' and, last, the residuals."""
     p, m = box.linear.size, columns.shape[1]
-    refold(columns, p, p, m, w)
+    refold(columns, p, columns[p], m, w)
     return float(solve_linear(c, i, box, m, w))
 
 

@@ -18,6 +18,10 @@
 /* Where the gain is more than this share of the predicted one the next derivatives are Broyden's, a
    few times running: they cost nothing. */
 #define SECANT 0.7
+/* A refused trial is corrected for curvature where this turns its step by no more than such a share
+   of it, in the metric of the scales (Transtrum and Sethna, 2012). */
+#define BEND 0.75
+#define CORRECTED (-1)  /* as the number of secants: the trial is a corrected one */
 /* Where the predicted gain is below the tolerance, a candidate is done if the damping is no more
    than the first, or the gain no more than the second share of the tolerance; else the damping may
    be the reason, and falls. */
@@ -77,6 +81,19 @@ static void keep_residuals(const search *s, candidate *c) {
     if (c->derivatives) copy(s->w.residuals, c->derivatives + s->p.d * s->m, s->m);
 }
 
+/* The triangular factor of the stored derivatives and of the residuals `last`, into w.T. */
+static void refold(const search *s, const candidate *c, const double *last) {
+    int64_t d = s->p.d, m = s->m;
+    memset(s->w.T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
+    for (int64_t start = 0; start < m; start += CHUNK) {
+        int64_t rows = m - start < CHUNK ? m - start : CHUNK;
+        for (int64_t k = 0; k < d; k++)
+            copy(c->derivatives + k * m + start, s->w.chunk + k * CHUNK, rows);
+        copy(last + start, s->w.chunk + d * CHUNK, rows);
+        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, rows, d + 1);
+    }
+}
+
 /* Broyden's update of the derivatives after a trial, in the metric of the scales D, and their
    factor. */
 static void take_secant(search *s, candidate *c) {
@@ -88,17 +105,12 @@ static void take_secant(search *s, candidate *c) {
         total += scaled * scaled;
     }
     s->p.sums->update_columns(c->derivatives, s->w.residuals, s->w.step, c->D, total, d, m);
-    memset(s->w.T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
-    for (int64_t start = 0; start < m; start += CHUNK) {
-        int64_t rows = m - start < CHUNK ? m - start : CHUNK;
-        for (int64_t k = 0; k <= d; k++)
-            copy(c->derivatives + k * m + start, s->w.chunk + k * CHUNK, rows);
-        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, rows, d + 1);
-    }
+    refold(s, c, c->derivatives + d * m);
 }
 
 /* Move a candidate to its trial, whose gain is rho times the predicted one. */
 static void accept(search *s, candidate *c, double loss, double rho) {
+    c->has->secants = c->has->secants > 0 ? c->has->secants : 0;
     int secant = rho > SECANT && c->has->secants < s->rules.secants && c->derivatives &&
         !c->has->projects;
     if (secant) take_secant(s, c);
@@ -121,6 +133,57 @@ static void accept(search *s, candidate *c, double loss, double rho) {
     if (loss <= s->rules.rounding) c->has->stage = DONE;
 }
 
+/* How far a step may go along each coordinate, within the box and within reach. */
+static void set_limits(const search *s, const candidate *c, int64_t n) {
+    for (int64_t k = 0; k < n; k++) {
+        double at = c->x[moved_at(&s->p, c, k)];
+        s->w.low[k] = larger(-at, -s->rules.reach);
+        s->w.high[k] = smaller(1 - at, s->rules.reach);
+    }
+}
+
+/* The damping of n coordinates as square roots. The more damping, the more alike coordinates count.
+   A scale is what derivatives say of a parameter where the candidate is; long steps along those
+   without effect there would be refused. */
+static void set_damping(const search *s, const candidate *c, int64_t n) {
+    double largest = 0.0, root = sqrt(c->is->damping);
+    for (int64_t k = 0; k < n; k++) largest = larger(largest, c->D[k]);
+    double alike = smaller(c->is->damping, 1.0) * largest * largest;
+    for (int64_t k = 0; k < n; k++) s->w.scale[k] = root * sqrt(c->D[k] * c->D[k] + alike);
+}
+
+/* Correct a refused trial for the curvature that its residuals, in w, show. Along the step v they
+   are r + J v + b, where b is the bend of the residuals. The corrected step minimises
+   |J s + r + b|^2 with the same damping: to second order it is v and half the geodesic acceleration
+   (Transtrum and Sethna, 2012), for no more derivatives. 0 where derivatives are not stored or
+   updated, where the trial was corrected already, and where it would turn too far. */
+static int correct_trial(search *s, candidate *c) {
+    const work_room *w = &s->w;
+    int64_t d = s->p.d, side = d + 1;
+    if (!c->derivatives || c->has->projects || c->has->secants) return 0;
+    /* Q' (r + b) from the residuals of the trial. */
+    refold(s, c, w->residuals);
+    for (int64_t k = 0; k < d; k++) {
+        double *q = w->T + k * side + d;
+        for (int64_t j = k; j < d; j++) *q -= c->R[k * d + j] * (c->trial[j] - c->x[j]);
+        if (!isfinite(*q)) return 0;
+    }
+    set_limits(s, c, d);
+    set_damping(s, c, d);
+    box_problem b = {c->R, w->T + d, w->scale, w->low, w->high, d, side, d};
+    solve_in_box(&b, w->step, &w->solver);
+    double turn = 0.0, length = 0.0;
+    for (int64_t k = 0; k < d; k++) {
+        double before = c->D[k] * (c->trial[k] - c->x[k]);
+        double change = c->D[k] * w->step[k] - before;
+        turn += change * change;
+        length += before * before;
+    }
+    if (turn > BEND * BEND * length) return 0;
+    for (int64_t k = 0; k < d; k++) c->trial[k] = between(0.0, c->x[k] + w->step[k], 1.0);
+    return 1;
+}
+
 /* Accept or refuse the trial of a candidate by its loss; its residuals are in w. */
 static void judge_trial(search *s, candidate *c, double loss) {
     /* A first look is no trial: it gives the loss that later ones are compared with. */
@@ -137,11 +200,14 @@ static void judge_trial(search *s, candidate *c, double loss) {
     double rho = predicted > 0 && isfinite(loss) ? actual / predicted : -1.0;
     if (rho > ACCEPTED) {
         accept(s, c, loss, rho);
-    } else if (c->has->secants) {
+    } else if (c->has->secants > 0) {
         /* Updated derivatives may be the reason, so evaluate them. */
         c->has->stage = SLOPES;
         c->has->secants = 0;
+    } else if (isfinite(loss) && correct_trial(s, c)) {
+        c->has->secants = CORRECTED; /* or curvature */
     } else {
+        c->has->secants = 0;
         c->is->damping = larger(c->is->damping * c->is->growth, RESTART_DAMPING);
         c->is->growth *= 2.0;
         c->has->stage = c->is->damping > LARGEST_DAMPING ? DONE : READY;
@@ -171,17 +237,12 @@ static void propose_trial(search *s, candidate *c) {
     }
     /* The step stays in the box, and within reach. */
     double square = 0.0, total = c->is->loss * (double)s->m;
-    for (int64_t k = 0; k < n; k++) {
-        double at = c->x[moved_at(&s->p, c, k)];
-        w->low[k] = larger(-at, -s->rules.reach);
-        w->high[k] = smaller(1 - at, s->rules.reach);
-        square += c->q[k] * c->q[k];
-    }
+    for (int64_t k = 0; k < n; k++) square += c->q[k] * c->q[k];
+    set_limits(s, c, n);
     /* Solve with less and less damping until the linear model promises enough. */
     box_problem b = {c->R, c->q, w->scale, w->low, w->high, s->p.d, 1, n};
     for (int count = 0; count < TRIES; count++) {
-        double root = sqrt(c->is->damping);
-        for (int64_t k = 0; k < n; k++) w->scale[k] = root * c->D[k];
+        set_damping(s, c, n);
         solve_in_box(&b, w->step, &w->solver);
         c->is->predicted_gain = square - square_norm(&b, w->step);
         double predicted = total > 0 ? c->is->predicted_gain / total : 0.0;
