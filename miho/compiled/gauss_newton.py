@@ -186,7 +186,7 @@ def correct_trial(c: GNCandidates, i: int, m: int, rules: GNRules, w: Work) -> b
         if not math.isfinite(q[k]):
             return False
         w.low[k], w.high[k] = max(-x[k], -rules.reach), min(1 - x[k], rules.reach)
-    set_damping(c, i, d, w.scale)
+    set_damping(c, i, d, rules.last, w.scale)
     solve_in_box(c.R[i], q, w.scale, w.low, w.high, d, w.step, w.solver)
     turn, length = 0.0, 0.0
     for k in range(d):
@@ -201,18 +201,22 @@ def correct_trial(c: GNCandidates, i: int, m: int, rules: GNRules, w: Work) -> b
     return True
 
 
-def set_damping(c: GNCandidates, i: int, n: int, scale: Array) -> None:
+def set_damping(c: GNCandidates, i: int, n: int, alike: bool, scale: Array) -> None:
     """Write the damping of the first n coordinates as square roots.
 
     The more damping, the more alike coordinates count. A scale is what derivatives say of a
     parameter where the candidate is; long steps along those without effect there would be refused.
+    Without `alike` the scales alone count: on fewer rows than all, where candidates are many and
+    steps cheap, and where it is judged whether a descent is done.
     """
     largest = 0.0
     for k in range(n):
         largest = max(largest, c.D[i, k])
-    root, alike = math.sqrt(c.damping[i]), min(c.damping[i], 1.0) * largest * largest
+    root, least = math.sqrt(c.damping[i]), 0.0
+    if alike:
+        least = min(c.damping[i], 1.0) * largest * largest
     for k in range(n):
-        scale[k] = root * math.sqrt(c.D[i, k] * c.D[i, k] + alike)
+        scale[k] = root * math.sqrt(c.D[i, k] * c.D[i, k] + least)
 
 
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
@@ -274,10 +278,14 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
     for k in range(n):
         square += c.q[i, k] * c.q[i, k]
     for _ in range(TRIES):
-        set_damping(c, i, n, scale)
-        solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.solver)
-        c.predicted_gain[i] = square - norm(c.R[i], c.q[i], n, w.step)
-        predicted = c.predicted_gain[i] / total if total > 0 else 0.0
+        predicted = 0.0
+        for alike in range(int(rules.last), -1, -1):
+            set_damping(c, i, n, alike > 0, scale)
+            solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.solver)
+            c.predicted_gain[i] = square - norm(c.R[i], c.q[i], n, w.step)
+            predicted = c.predicted_gain[i] / total if total > 0 else 0.0
+            if predicted > rules.tolerance:
+                break
         if predicted > rules.tolerance:
             break
         if c.damping[i] <= DONE_DAMPING or predicted <= DONE_LESS * rules.tolerance:

@@ -144,12 +144,14 @@ static void set_limits(const search *s, const candidate *c, int64_t n) {
 
 /* The damping of n coordinates as square roots. The more damping, the more alike coordinates count.
    A scale is what derivatives say of a parameter where the candidate is; long steps along those
-   without effect there would be refused. */
-static void set_damping(const search *s, const candidate *c, int64_t n) {
+   without effect there would be refused. Without `alike` the scales alone count: on fewer
+   rows than all, where candidates are many and steps cheap, and where it is judged whether a
+   descent is done. */
+static void set_damping(const search *s, const candidate *c, int64_t n, int alike) {
     double largest = 0.0, root = sqrt(c->is->damping);
     for (int64_t k = 0; k < n; k++) largest = larger(largest, c->D[k]);
-    double alike = smaller(c->is->damping, 1.0) * largest * largest;
-    for (int64_t k = 0; k < n; k++) s->w.scale[k] = root * sqrt(c->D[k] * c->D[k] + alike);
+    double least = alike ? smaller(c->is->damping, 1.0) * largest * largest : 0.0;
+    for (int64_t k = 0; k < n; k++) s->w.scale[k] = root * sqrt(c->D[k] * c->D[k] + least);
 }
 
 /* Correct a refused trial for the curvature that its residuals, in w, show. Along the step v they
@@ -169,7 +171,7 @@ static int correct_trial(search *s, candidate *c) {
         if (!isfinite(*q)) return 0;
     }
     set_limits(s, c, d);
-    set_damping(s, c, d);
+    set_damping(s, c, d, s->rules.last != 0);
     box_problem b = {c->R, w->T + d, w->scale, w->low, w->high, d, side, d};
     solve_in_box(&b, w->step, &w->solver);
     double turn = 0.0, length = 0.0;
@@ -241,11 +243,15 @@ static void propose_trial(search *s, candidate *c) {
     set_limits(s, c, n);
     /* Solve with less and less damping until the linear model promises enough. */
     box_problem b = {c->R, c->q, w->scale, w->low, w->high, s->p.d, 1, n};
+    int on_all = s->rules.last != 0;
     for (int count = 0; count < TRIES; count++) {
-        set_damping(s, c, n);
-        solve_in_box(&b, w->step, &w->solver);
-        c->is->predicted_gain = square - square_norm(&b, w->step);
-        double predicted = total > 0 ? c->is->predicted_gain / total : 0.0;
+        double predicted = 0.0;
+        for (int alike = on_all; alike >= 0 && !(predicted > s->rules.tolerance); alike--) {
+            set_damping(s, c, n, alike);
+            solve_in_box(&b, w->step, &w->solver);
+            c->is->predicted_gain = square - square_norm(&b, w->step);
+            predicted = total > 0 ? c->is->predicted_gain / total : 0.0;
+        }
         if (predicted > s->rules.tolerance) break;
         if (c->is->damping <= DONE_DAMPING || predicted <= DONE_LESS * s->rules.tolerance) {
             c->has->stage = DONE;
