@@ -12,6 +12,7 @@ import scipy.optimize
 
 import miho
 from miho import Part
+from miho.core import machine
 from miho.data import embedded_tire
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import optimal_design
@@ -21,6 +22,7 @@ from miho.models.expression import Expression
 from miho.models.joint import PART, JointExpression, JointModel, parts_of
 from miho.models.traced import TracedExpression
 
+needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")
 t = np.linspace(0, 1, 30)
 rng = np.random.default_rng(5)
 
@@ -233,8 +235,8 @@ def test_models_that_do_not_compare_are_asked_part_by_part() -> None:
     assert not isinstance(fit.problem.model, TracedExpression)
 
 
-@pytest.mark.slow
-def test_a_joint_formula_compiles() -> None:
+@needs_machine
+def test_a_joint_formula_runs_on_the_machine() -> None:
     """To what NumPy gives, and the same optimum."""
     y, z = two_decays()
     parts = {"A": Part(decay, t, y, 0.05), "B": Part(decay, t, z, 0.5)}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
+from miho.core import machine
 from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
@@ -17,6 +18,7 @@ from miho.models.published import FORMS, PublishedModel
 from miho.optim import MIHOGN, BudgetExhausted
 from tests.identification import published
 
+needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")
 SPACE = Space(
     (
         Parameter("B", "1/rad", 0, 40),
@@ -70,8 +72,9 @@ def test_fidelity_uses_a_fixed_part_of_the_data() -> None:
     assert p.cost(0.251) == 51 / 200, "it uses 51 rows"
 
 
+@needs_machine
 @pytest.mark.parametrize("fidelity", [0.01, 0.25, 0.251, 0.999])
-def test_a_fidelity_is_compiled(fidelity: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fidelity_runs_on_the_machine(fidelity: float, monkeypatch: pytest.MonkeyPatch) -> None:
     p = problem(2000)
     thetas = SPACE.initial(50)
     part = p._order[: round(p.cost(fidelity) * 2000)]
@@ -118,6 +121,7 @@ def test_residuals_at_a_fidelity_are_those_of_its_rows(fidelity: float, rho: Los
     assert len(oracle.trace) == (fidelity == 1.0), "only all rows tell the loss"
 
 
+@needs_machine
 @pytest.mark.parametrize(
     "model",
     [
