@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, minimize_scalar
 
+from miho.core import machine
 from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.models import TorqueCubic
@@ -252,6 +253,7 @@ def test_a_run_interrupted_in_an_evaluation_goes_on_behind_it(last: int) -> None
     assert resumed.evaluations == whole.evaluations
 
 
+@pytest.mark.skipif(machine() is None, reason="the machine was not built")
 def test_compiled_steps_end_in_time_and_when_interrupted() -> None:
     """Between two blocks of some 20 ms, whatever is left of the search."""
     problem = fit(200_000)
