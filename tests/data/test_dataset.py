@@ -54,7 +54,7 @@ def test_columns_are_copies_that_nobody_edits() -> None:
         ({"units": {"x": "m"}}, "every column needs a unit"),
         ({"held_out": make(units={"x": "km", "y": "N"})}, "held_out must have the same"),
         ({"held_out": make(output="x")}, "held_out must have the same"),
-        ({"held_out": make(held_out=make())}, "no held_out of its own"),
+        ({"held_out": make(held_out=make())}, "no held_out rows"),
     ],
 )
 def test_bad_data(changes: dict[str, object], message: str) -> None:
