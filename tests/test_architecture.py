@@ -65,6 +65,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.fitting": (
         {
+            "miho.core",
             "miho.fitting",
             "miho.identification",
             "miho.methods",
