@@ -132,7 +132,9 @@ def test_a_row_to_measure_next_counts_by_the_sigma_of_its_part() -> None:
 
     narrower = [100 * (1 - error(row) / error()) for row in (60, 61, 62)]
     assert design.gains["narrows b by %"].tolist() == pytest.approx(narrower, rel=1e-6)
-    with pytest.raises(ValueError, match="'part of the row' is 2; expected the number of a part, 0 to 1"):
+    with pytest.raises(
+        ValueError, match="'part of the row' is 2; expected the number of a part, 0 to 1"
+    ):
         optimal_design(fit.report(profiles=False), candidates.replace(0.0, 2.0), 1)
 
 

@@ -335,7 +335,9 @@ class Fit(Remade):
         size += f"{alike * self._dependent}{narrow * priors}"
         # The caveats explain an optimum in doubt.
         limits = " ".join(f"{limit}." for limit in at_limits(self.problem, self.theta))
-        known = limits if self._standing.doubt else self.optimum
+        known = (
+            limits if self._standing.doubt else self.optimum.replace(" Estimated", "\nEstimated")
+        )
         caveats = (f"- {sentence}" for sentence in self.caveats)
         return "\n".join(filter(None, [table, size, known, *caveats]))
 
