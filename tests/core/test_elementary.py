@@ -3,89 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from typing import Any
 
 import mpmath
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from experiments.check.coefficients import FILE, text
-from miho.core import OPERATIONS, Instruction, Tape, machine
+from experiments.check.elementary import FUNCTIONS, errors, evaluated, points
+from miho.core import OPERATIONS, machine
 
-Array = NDArray[np.float64]
 POINTS = 1500
 needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")
 
 
-def function(name: str, *operands: Array, level: int = -1) -> Array:
-    """One operation of the machine; a power with the parts of its base."""
-    n = len(operands)
-    code = [Instruction(name, tuple(range(n)), (n,))]
-    registers = n + 1
-    if name == "POWER":
-        code = [Instruction("LOG_PARTS", (0,), (3, 4)), Instruction(name, (0, 1, 3, 4), (2,))]
-        registers = 5
-    if name == "SINCOS":
-        code, registers = [Instruction(name, (0,), (1, 2))], 3
-    tape = Tape(n, 1, registers, 0, 0, (), (), tuple(code), ())
-    X, out = np.ascontiguousarray(operands), np.empty((1, 1, operands[0].size))
-    machine().evaluate(tape.at_level(level), np.empty((1, 0)), X, out)
-    return np.asarray(out[0, 0])
-
-
-def spread(low: float, high: float, rng: np.random.Generator) -> Array:
-    """Half of the points even, half in the logarithm, of both signs where the range has them."""
-    even = rng.uniform(low, high, POINTS // 2)
-    sizes = np.exp(rng.uniform(np.log(1e-12), np.log(max(-low, high)), POINTS))
-    signed = sizes * rng.choice([-1.0, 1.0], POINTS)
-    return np.append(even, signed[(signed >= low) & (signed <= high)])
-
-
-def errors(values: Array, exact: Callable[..., Any], *operands: Array) -> Array:
-    """Distances from the exact value, in units in the last place."""
-    with mpmath.workprec(140):
-        return np.array(
-            [
-                float(abs(mpmath.mpf(value) - exact(*map(mpmath.mpf, map(float, each)))))
-                / np.spacing(abs(value))
-                for value, *each in zip(values.tolist(), *operands, strict=True)
-            ]
-        )
-
-
-ACCURACY = {
-    "EXP": (mpmath.exp, (-700, 700), 1.1),
-    "EXPM1": (mpmath.expm1, (-30, 700), 2.5),
-    "LOG": (mpmath.log, (1e-300, 1e12), 1.1),
-    "LOG1P": (mpmath.log1p, (-0.999, 1e6), 2.5),
-    "LOG10": (mpmath.log10, (1e-300, 1e12), 1.1),
-    "LOG2": (lambda x: mpmath.log(x, 2), (1e-300, 1e12), 1.1),
-    "SIN": (mpmath.sin, (-1e6, 1e6), 1.1),
-    "SINCOS": (mpmath.sin, (-10, 10), 1.1),
-    "COS": (mpmath.cos, (-1e6, 1e6), 1.1),
-    "TAN": (mpmath.tan, (-1e6, 1e6), 2.5),
-    "ASIN": (mpmath.asin, (-1, 1), 3.5),
-    "ACOS": (mpmath.acos, (-1, 1), 3.5),
-    "ATAN": (mpmath.atan, (-1e6, 1e6), 2.5),
-    "SINH": (mpmath.sinh, (-700, 700), 2.5),
-    "COSH": (mpmath.cosh, (-700, 700), 2.5),
-    "TANH": (mpmath.tanh, (-20, 20), 2.5),
-    "ASINH": (mpmath.asinh, (-1e12, 1e12), 3.5),
-    "ACOSH": (mpmath.acosh, (1, 1e12), 3.5),
-    "ATANH": (mpmath.atanh, (-0.999, 0.999), 3.5),
-}
-"""The exact function, a range, and the most by which results are off there, in units in the last
-place: of the largest errors at 10^5 points of each range, and rounded up."""
-
-
 @needs_machine
-@pytest.mark.parametrize("name", ACCURACY)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_are_near_the_exact_value(name: str) -> None:
-    exact, between, most = ACCURACY[name]
-    x = spread(*between, np.random.default_rng(1))
-    found = errors(function(name, x), exact, x).max()
+    exact, low, high, most = FUNCTIONS[name]
+    x = points(low, high, POINTS, np.random.default_rng(1))
+    found = errors(evaluated(name, x), exact, x).max()
     assert found <= most, f"{name}: {found:.2f}"
 
 
@@ -101,13 +37,13 @@ def test_sines_of_large_angles_are_exact_to_the_last_bit(size: float) -> None:
     with mpmath.workprec(1200):
         for name, exact in (("SIN", mpmath.sin), ("COS", mpmath.cos)):
             true = [exact(mpmath.mpf(value)) for value in x.tolist()]
-            values = function(name, x)
+            values = evaluated(name, x)
             off = [
                 float(abs(mpmath.mpf(v) - t)) for v, t in zip(values.tolist(), true, strict=True)
             ]
             assert (np.array(off) <= 1.1 * np.spacing(np.abs(values))).all()
-    pair = function("SINCOS", x)
-    assert pair.tobytes() == function("SIN", x).tobytes()
+    pair = evaluated("SINCOS", x)
+    assert pair.tobytes() == evaluated("SIN", x).tobytes()
 
 
 @needs_machine
@@ -115,8 +51,8 @@ def test_an_angle_does_not_depend_on_its_neighbours() -> None:
     """A block that holds a large one goes another way."""
     x = np.random.default_rng(3).uniform(-100, 100, 200)
     for name in ("SIN", "COS", "TAN", "SINCOS"):
-        together = function(name, np.append(x, 1e30))
-        assert together[:-1].tobytes() == function(name, x).tobytes()
+        together = evaluated(name, np.append(x, 1e30))
+        assert together[:-1].tobytes() == evaluated(name, x).tobytes()
 
 
 @needs_machine
@@ -126,7 +62,7 @@ def test_powers_are_near_the_exact_value() -> None:
     y = rng.uniform(-600, 600, POINTS) / np.abs(np.log(x))
     near = rng.uniform(0.5, 2, POINTS)
     for base, exponent in ((x, y), (near, rng.uniform(-900, 900, POINTS))):
-        assert errors(function("POWER", base, exponent), mpmath.power, base, exponent).max() <= 1.1
+        assert errors(evaluated("POWER", base, exponent), mpmath.power, base, exponent).max() <= 1.1
 
 
 @needs_machine
@@ -135,8 +71,8 @@ def test_functions_of_two_arguments_are_near_the_exact_value() -> None:
     a, b = np.exp(rng.uniform(-300, 300, (2, POINTS))) * rng.choice([-1.0, 1.0], (2, POINTS))
     c, d = rng.uniform(-2, 2, (2, POINTS))
     for x, y in ((a, b), (c, d)):
-        assert errors(function("HYPOT", x, y), mpmath.hypot, x, y).max() <= 1.5
-        values = function("ATAN2", x, y)
+        assert errors(evaluated("HYPOT", x, y), mpmath.hypot, x, y).max() <= 1.5
+        values = evaluated("ATAN2", x, y)
         normal = np.abs(values) > 1e-300
         x, y, values = x[normal], y[normal], values[normal]
         assert errors(values, mpmath.atan2, x, y).max() <= 2.5
@@ -149,17 +85,17 @@ LARGE = [2.0**51 + 0.5, 2.0**51 + 1, 2.0**52 + 1, 2.0**53 - 1, 2.0**53, 1e308, 1
 
 
 @needs_machine
-@pytest.mark.parametrize("name", [*ACCURACY, "SQRT", "ABS", "SIGN", "BOUND", "NEG"])
+@pytest.mark.parametrize("name", [*FUNCTIONS, "SQRT", "ABS", "SIGN", "BOUND", "NEG"])
 def test_zeros_infinities_and_what_is_no_number_are_numpys(name: str) -> None:
     x = np.array(EDGES)
     with np.errstate(all="ignore"):
         expected = OPERATIONS[name](x)
     expected = expected[0] if isinstance(expected, tuple) else expected
-    np.testing.assert_allclose(function(name, x), expected, rtol=1e-14, atol=5e-324)
+    np.testing.assert_allclose(evaluated(name, x), expected, rtol=1e-14, atol=5e-324)
     zero = x[:2]
     with np.errstate(all="ignore"):
         sign = np.signbit(OPERATIONS[name](zero)[0] if name == "SINCOS" else OPERATIONS[name](zero))
-    assert (np.signbit(function(name, zero)) == sign).all() or name == "ACOSH"  # NaN
+    assert (np.signbit(evaluated(name, zero)) == sign).all() or name == "ACOSH"  # NaN
 
 
 @needs_machine
@@ -169,7 +105,7 @@ def test_pairs_of_zeros_infinities_and_what_is_no_number_are_numpys(name: str) -
     x, y = (each.ravel().copy() for each in np.meshgrid(edges, edges))
     with np.errstate(all="ignore"):
         expected = np.power(x, y) if name == "POWER" else OPERATIONS[name](x, y)
-    values = function(name, x, y)
+    values = evaluated(name, x, y)
     np.testing.assert_allclose(values, expected, rtol=1e-14, atol=5e-324)
     signed = ~np.isnan(expected) & (name != "MIN") & (name != "MAX")
     assert (np.signbit(values) == np.signbit(expected))[signed].all()
@@ -179,11 +115,11 @@ def test_pairs_of_zeros_infinities_and_what_is_no_number_are_numpys(name: str) -
 def test_every_level_gives_the_same_bits() -> None:
     """Of all functions, on as many levels as the processor has."""
     rng = np.random.default_rng(6)
-    x = np.concatenate([spread(-1e3, 1e3, rng), spread(-1, 1, rng), EDGES])
+    x = np.concatenate([points(-1e3, 1e3, POINTS, rng), points(-1, 1, POINTS, rng), EDGES])
     y = rng.permutation(x)
-    for name in [*ACCURACY, "POWER", "ATAN2", "HYPOT"]:
+    for name in [*FUNCTIONS, "POWER", "ATAN2", "HYPOT"]:
         operands = (x, y) if name in ("POWER", "ATAN2", "HYPOT") else (x,)
-        found = [function(name, *operands, level=k) for k in range(len(machine().levels()))]
+        found = [evaluated(name, *operands, level=k) for k in range(len(machine().levels()))]
         for other in found[1:]:
             np.testing.assert_array_equal(found[0], other, err_msg=name)
 
@@ -198,8 +134,8 @@ def test_every_processor_gives_these_bits() -> None:
     rng = np.random.default_rng(7)
     x = np.ldexp(rng.uniform(-1, 1, 3000), rng.integers(-40, 40, 3000))
     y, digest = rng.permutation(x), hashlib.sha256()
-    for name in [*ACCURACY, "POWER", "ATAN2", "HYPOT"]:
-        values = function(name, *((x, y) if name in ("POWER", "ATAN2", "HYPOT") else (x,)))
+    for name in [*FUNCTIONS, "POWER", "ATAN2", "HYPOT"]:
+        values = evaluated(name, *((x, y) if name in ("POWER", "ATAN2", "HYPOT") else (x,)))
         digest.update(np.where(np.isnan(values), 0.0, values).astype("<f8").tobytes())
     assert digest.hexdigest() == BITS
 
