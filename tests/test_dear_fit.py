@@ -352,7 +352,7 @@ def test_a_search_that_failed_is_told_of(capsys: pytest.CaptureFixture[str]) -> 
             raise RuntimeError("out of ideas")
 
     miho.fit(Counted().model, t, y, BOX, method=Failing())
-    assert "its best is taken, the search failed: RuntimeError: out of ideas" in (
+    assert "the search failed, its best is taken: RuntimeError: out of ideas" in (
         capsys.readouterr().err
     )
 

@@ -478,7 +478,7 @@ def test_sizes_and_signs_that_are_stated_are_taken() -> None:
 
 
 def test_bounds_without_names_are_refused() -> None:
-    with pytest.raises(ValueError, match="give them by name"):
+    with pytest.raises(ValueError, match="expected them by name"):
         miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), [(0, 1)])  # type: ignore[arg-type]
     fit = miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), start={"a": 1})
     with pytest.raises(TypeError, match="only a fit of a tire"):

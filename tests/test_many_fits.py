@@ -164,18 +164,22 @@ def test_a_start_goes_with_ties_and_constraints() -> None:
 def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
     frame = pd.DataFrame({"run": 1, "t": t, "V": y[0]})
     for arguments, keywords, message in (
-        ((decay, t, y[0], BOX), {}, "y has shape \\(50,\\); give \\(datasets, rows\\)"),
-        ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; give a data frame"),
+        ((decay, t, y[0], BOX), {}, "y has shape \\(50,\\); expected \\(datasets, rows\\)"),
+        (
+            (decay, frame, "V", BOX),
+            {"by": "lap"},
+            "by is 'lap' and y is 'V'; expected the names of two",
+        ),
         ((decay, t[:7], y, BOX), {}, "differ in length"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
         ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1}}, "lacks c"),
         ((decay, t, y, BOX), {"start": {"a": [1, 2], "b": 1, "c": 1}}, "a has 2 values"),
         ((decay, t, y, BOX), {"start": {"a": [], "b": 1, "c": 1}}, "a has 0 values"),
-        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": 9}}, "c is 9; give one from -5"),
+        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": 9}}, "c is 9; expected -5"),
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": np.nan}}, "c is nan"),
         ((decay, -1e9 * t, y, {**BOX, "b": (1, 2)}), {}, "is not finite at t"),
-        ((decay, t, np.vstack([y[:1], y[1:] * np.inf]), BOX), {}, "dataset 1: holds values"),
+        ((decay, t, np.vstack([y[:1], y[1:] * np.inf]), BOX), {}, "dataset 1: has values"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
             miho.fit_many(*arguments, **keywords)

@@ -1,4 +1,4 @@
-"""Many datasets of one model, as they are given in a call, and as arrays."""
+"""Many datasets of one model: as arguments of a call, and as arrays."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from miho.quantities import Array
 
 
 class Groups:
-    """The groups of a data frame that have one value in a column, in the order in which they come.
+    """Datasets that are groups of a data frame with one value in a column, in order of appearance.
 
-    Raises ValueError for columns that the frame has not, and for a frame without rows.
+    Raises ValueError for missing columns, and for a frame without rows.
     """
 
     def __init__(self, frame: Any, y: Any, by: str) -> None:
         named = isinstance(by, str) and isinstance(y, str) and hasattr(frame, "groupby")
         if not named or by not in frame or y not in frame:
             raise ValueError(
-                f"by is {by!r} and y is {y!r}; give a data frame x that has both as columns"
+                f"by is {by!r} and y is {y!r}; expected the names of two columns of a data frame x"
             )
         codes = frame.groupby(by, sort=False, dropna=False).ngroup().to_numpy()
         if not codes.size:
-            raise ValueError("the data frame has no rows; give some")
+            raise ValueError("x: the data frame has no rows; expected at least one")
         _, codes = np.unique(codes, return_inverse=True)  # all groups have rows
         self.order = np.argsort(codes, kind="stable")
         self.ends = np.concatenate([[0], np.cumsum(np.bincount(codes))])
@@ -37,29 +37,29 @@ class Groups:
         self.keys: list[Hashable] = frame[by].iloc[self.order[self.ends[:-1]]].tolist()
 
     def part(self, k: int) -> tuple[Any, Any]:
-        """Columns and output of a dataset, as `miho.fit` takes them."""
+        """Input columns and output of a dataset, as arguments of `miho.fit`."""
         return self.frame.iloc[self.order[self.ends[k] : self.ends[k + 1]]], self.y
 
     def of(self, model: Model) -> Datasets:
-        """All of them as arrays."""
+        """All datasets as arrays."""
         X = np.array([column[self.order] for column in inputs_of(model, self.frame).values()])
         y = np.asarray(self.frame[self.y], dtype=float)[self.order]
         return Datasets.checked(X, y, self.ends)
 
 
 class Rows:
-    """The rows of y (M, N), over columns (N,) or (M, N) in x.
+    """Datasets that are rows of y (M, N), over columns (N,) or (M, N) in x.
 
-    Raises ValueError for another shape of y.
+    Raises ValueError for any other shape of y.
     """
 
     def __init__(self, x: Any, y: Any) -> None:
         if isinstance(y, str):
-            raise ValueError(f"y is {y!r}; give by= as well, the column that tells datasets apart")
+            raise ValueError(f"y is {y!r}; expected by= as well, the column that names the dataset")
         self.y = np.asarray(y, dtype=float)
         if self.y.ndim != 2 or not self.y.size:
             raise ValueError(
-                f"y has shape {self.y.shape}; give (datasets, rows), or a data frame, by="
+                f"y has shape {self.y.shape}; expected (datasets, rows), or a data frame x and by="
             )
         self.keys: list[Hashable] = list(range(len(self.y)))
         self.by_name = isinstance(x, Mapping) or hasattr(x, "columns")
@@ -70,15 +70,17 @@ class Rows:
         )
         for column in self.columns.values():
             if column.ndim == 2 and len(column) != len(self.y):
-                raise ValueError(f"x has {len(column)} datasets and y {len(self.y)}; give as many")
+                raise ValueError(
+                    f"x has {len(column)} datasets and y {len(self.y)}; expected the same number"
+                )
 
     def part(self, k: int) -> tuple[Any, Any]:
-        """Columns and output of a dataset, as `miho.fit` takes them."""
+        """Input columns and output of a dataset, as arguments of `miho.fit`."""
         own = {name: c[k] if c.ndim == 2 else c for name, c in self.columns.items()}
         return own if self.by_name else tuple(own.values()), self.y[k]
 
     def of(self, model: Model) -> Datasets:
-        """All of them as arrays."""
+        """All datasets as arrays."""
         names = [*inputs_of(model, self.part(0)[0])] if self.by_name else [*self.columns]
         columns = [self.columns[name] for name in names]
         M, N = self.y.shape
@@ -94,9 +96,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class Datasets:
-    """Columns X (p, n) and outputs y (n,) of M datasets, one behind the other; or X (p, N) of all.
+    """Columns X (p, n) and outputs y (n,) of M concatenated datasets; shared columns are X (p, N).
 
-    The k-th has the rows from ends[k] to ends[k + 1]. `shared` says that X is the same for all.
+    Dataset k has the rows from ends[k] to ends[k + 1]. If `shared`, all datasets have the same X.
     """
 
     X: Array
@@ -106,7 +108,10 @@ class Datasets:
 
     @classmethod
     def checked(cls, X: Array, y: Array, ends: NDArray[np.int64]) -> Datasets:
-        """Datasets, whose columns are shared if they are equal; all values have to be finite."""
+        """Datasets from arrays; columns that are equal in all of them are shared.
+
+        Raises ValueError for values that are not finite.
+        """
         lengths = np.diff(ends)
         if X.shape[1] == y.size and (lengths == lengths[0]).all():
             apart = X.reshape(len(X), len(lengths), -1)
@@ -117,9 +122,7 @@ class Datasets:
             bad = ~np.isfinite(values)
             if bad.any():
                 k = np.searchsorted(ends, np.flatnonzero(bad)[0], side="right") - 1
-                raise ValueError(
-                    f"dataset {k}: holds values that are not finite; remove those rows"
-                )
+                raise ValueError(f"dataset {k}: has values that are not finite; remove these rows")
         X, y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
         return cls(X, y, np.ascontiguousarray(ends, dtype=np.int64), bool(shared))
 
@@ -128,13 +131,13 @@ class Datasets:
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """How many rows each has."""
+        """Number of rows of each dataset, (M,)."""
         return np.diff(self.ends)
 
     def columns(self, k: int) -> Array:
-        """The columns (p, N) of a dataset."""
+        """Input columns (p, N) of a dataset."""
         return self.X if self.shared else self.X[:, self.ends[k] : self.ends[k + 1]]
 
     def output(self, k: int) -> Array:
-        """The output (N,) of a dataset."""
+        """Output (N,) of a dataset."""
         return self.y[self.ends[k] : self.ends[k + 1]]

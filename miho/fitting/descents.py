@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt descents of many datasets side by side, each within the box of the space."""
+"""Levenberg-Marquardt descents of many datasets at once, each within the bounds of the space."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from miho.optim import Space
 from miho.quantities import Array
 
 NUMBERS = 2_000_000
-"""Values of the model and its derivatives at a time."""
+"""Largest number of model values and derivatives per chunk."""
 STEPS = 200
-"""Steps of a descent at most."""
+"""Largest number of steps of a descent."""
 DAMPING, EASED, HARDENED, MOST_DAMPED = 1e-3, 0.1, 4.0, 1e10
-"""Levenberg's parameter at first, its factor after a step that gains and after one that does not,
-and the size from which on no step gains."""
+"""Initial damping, its factors after an accepted and a rejected step, and the largest damping:
+above it no step decreases the loss."""
 STANDSTILL = 1e-13
-"""A step that gains less than this share of the sum of squares is the last."""
+"""A step that decreases the sum of squares by less than this share is the last."""
 LEAST = 1e-300
 CUBE_ROOT = float(np.cbrt(np.finfo(float).eps))
 SMALL = 1e-6
-"""A parameter near 0 is moved as one that is this share of its range."""
+"""Smallest size of a parameter for finite differences, as a share of its range."""
 
 Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Ends:
-    """Where descents ended: configurations (M, d), sums of squares (M,), and which converged."""
+    """Ends of descents: configurations (M, d), sums of squares (M,), and which converged."""
 
     thetas: Array
     squares: Array
@@ -52,9 +52,9 @@ class Ends:
 
 @dataclass(frozen=True)
 class Batch:
-    """Many datasets of one model: columns (p, M, N) and outputs (M, N), `rows` (M,) of them real.
+    """Datasets of one model as arrays: columns (p, M, N), outputs (M, N) and row counts (M,).
 
-    Shorter datasets are filled up with their last row, which `real` (M, N) leaves out.
+    Shorter datasets are padded with their last row; `real` (M, N) is false there.
     """
 
     model: Model
@@ -66,7 +66,7 @@ class Batch:
 
     @classmethod
     def of(cls, model: Model, space: Space, datasets: Datasets, which: Indices) -> Batch:
-        """Some of many datasets."""
+        """Batch of some of the datasets."""
         rows = datasets.rows[which]
         places = np.minimum(np.arange(rows.max()), rows[:, None] - 1)
         at = datasets.ends[which, None] + places
@@ -91,24 +91,24 @@ class Batch:
 
     @cached_property
     def _alike(self) -> bool:
-        """Whether all datasets have the same columns."""
+        """Whether all datasets have the same input columns."""
         same = (self.columns == self.columns[:, :1]).all() and (self.rows == self.rows[0]).all()
         return bool(same)
 
     def _own(self, thetas: Array, which: Indices) -> Iterator[tuple[Array, Array]]:
-        """Each configuration (d,) with the columns (p, N) of its dataset, as long as that is."""
+        """Yield each configuration (d,) with the columns (p, N) of its dataset, without padding."""
         for theta, k in zip(thetas, which, strict=True):
             yield theta, self.columns[:, k, : self.rows[k]]
 
     def _padded(self, parts: Iterable[Array]) -> Array:
-        """Values (N, ...) of datasets, filled with zeros to one length."""
+        """Stack values (N, ...) of datasets, padded with zeros to one length."""
         N = self.outputs.shape[1]
         return np.stack(
             [np.pad(part, [(0, N - len(part)), *[(0, 0)] * (part.ndim - 1)]) for part in parts]
         )
 
     def slopes(self, thetas: Array, which: Indices) -> Array:
-        """Their derivatives, (n, N, d)."""
+        """Derivatives of the residuals, (n, N, d)."""
         inputs = self.columns[:, which]
         if isinstance(self.model, Expression):
             with np.errstate(all="ignore"):
@@ -124,7 +124,7 @@ class Batch:
         return np.where(self.real[which][..., None], J, 0.0)
 
     def _differences(self, thetas: Array) -> Array:
-        """Central differences (n, N, d), of all datasets over the same columns at once."""
+        """Central differences (n, N, d) of all datasets at once, which share their columns."""
         width = np.maximum(np.abs(thetas), SMALL * (self.space.high - self.space.low))
         slopes = []
         for k, step in enumerate((CUBE_ROOT * width).T):
@@ -136,13 +136,13 @@ class Batch:
 
     @staticmethod
     def squares(residuals: Array) -> Array:
-        """Sums of squares (n,), infinite where a residual is not finite."""
+        """Sums of squares (n,), infinite if a residual is not finite."""
         with np.errstate(over="ignore", invalid="ignore"):
             sums = np.einsum("ij,ij->i", residuals, residuals)
         return np.where(np.isfinite(sums), sums, np.inf)
 
     def covariance(self, ends: Ends) -> Array:
-        """Covariance (M, d, d) at the ends; NaN at a bound and where rows are too few."""
+        """Covariance (M, d, d) at the ends; NaN at a bound, and without a degree of freedom."""
         low, high = self.space.low, self.space.high
         held = (ends.thetas <= low) | (ends.thetas >= high)
         freedom = self.rows - (~held).sum(axis=1)
@@ -158,13 +158,13 @@ class Batch:
         return covariance
 
     def chunks(self, which: Indices) -> list[Indices]:
-        """The datasets in parts of about NUMBERS values and derivatives."""
+        """Datasets in chunks of about NUMBERS values and derivatives."""
         size = max(1, NUMBERS // (self.outputs.shape[1] * (len(self.space) + 1)))
         return [which[k : k + size] for k in range(0, which.size, size)]
 
 
 def normal_matrix(J: Array, held: NDArray[np.bool_]) -> Array:
-    """J.T J (n, d, d) of J (n, N, d), with 1 on the diagonal for what is held (n, d)."""
+    """Normal matrix J.T J (n, d, d) of J (n, N, d), with unit rows for fixed parameters (n, d)."""
     J = np.where(held[:, None, :], 0.0, J)
     A = J.transpose(0, 2, 1) @ J
     diagonal = np.arange(A.shape[1])
@@ -173,9 +173,9 @@ def normal_matrix(J: Array, held: NDArray[np.bool_]) -> Array:
 
 
 def descend(batch: Batch, which: Indices, starts: Array, progress: Callable[[int], object]) -> Ends:
-    """Descents of the datasets `which`, each from the best of some starts.
+    """Descend with the datasets `which`, each from the best of its starts.
 
-    These are (s, d) for all, or (s, M, d), of all M datasets.
+    Starts are (s, d) for all datasets, or (s, M, d) for each of all M datasets.
     """
     ends = [
         _descend(batch, chunk, starts) for chunk in batch.chunks(which) if not progress(chunk[0])
@@ -188,7 +188,7 @@ def _fields(ends: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
-    """Those of one chunk, in search coordinates, in which a logarithmic scale is even."""
+    """Descend with one chunk, in search coordinates (logarithms of log-scale parameters)."""
     space = batch.space
     low, high = space.bounds
     log = np.array([parameter.scale == "log" for parameter in space.parameters])
@@ -206,7 +206,7 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
         k = np.flatnonzero(moving)
         if not k.size:
             break
-        # A step of each that still moves; what is at a bound and would leave the box is held.
+        # A step of each active dataset; parameters that would leave the box stay at their bound.
         thetas = space.decode(x[k])
         r = batch.residuals(thetas, which[k])
         J = batch.slopes(thetas, which[k]) * np.where(log, thetas, 1.0)[:, None, :]
@@ -221,7 +221,7 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
         step = np.linalg.solve(A, -(gradient / scale)[..., None])[..., 0] / scale
         trial = np.clip(x[k] + np.where(usable[:, None], step, 0.0), low, high)
         values = batch.squares(batch.residuals(space.decode(trial), which[k]))
-        # Taken if it gains; the last if it gains next to nothing, or no step does.
+        # Accept a decrease; stop after a negligible one, or if no step decreases the sum.
         gain = squares[k] - values
         taken = gain > 0
         x[k[taken]], squares[k[taken]] = trial[taken], values[taken]

@@ -1,4 +1,4 @@
-"""The result of a fit: what its optimum tells, from a table of parameters to predictions."""
+"""The result of a fit: parameters with standard errors, predictions, figures and report."""
 
 from __future__ import annotations
 
@@ -50,12 +50,15 @@ if TYPE_CHECKING:
     from miho.identification.report import Report
 
 SAME = 1e-9
-"""Two errors that differ by less than this share of the largest output belong to one model:
-rounding on another machine differs by 1e-16 to 1e-15 in each operation."""
+"""Relative difference of two errors, in terms of the largest output, up to which the model is
+unchanged: rounding on another machine differs by 1e-16 to 1e-15 in each operation."""
 
 
 class Prediction(NamedTuple):
-    """The curve at some inputs and the ends of its interval, (N,) each; not of new measurements."""
+    """Predicted curve and the ends of its confidence interval, (N,) each.
+
+    The interval covers the curve, not new measurements.
+    """
 
     value: Array
     low: Array
@@ -64,14 +67,48 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fit(Remade):
-    """The optimum `theta` (f,) of the free parameters of a problem, and what it can tell.
+    """Result of `miho.fit`: the optimum of a problem, its uncertainty and its evidence.
 
-    `run` (f,) is where the search ended, from which a descent led there, and `descents` what it
-    knows of other optima; None without a search. `moving` and `found_by` are those of
-    `miho.identification.optimum.standing_of`: whether that descent has come to its end, and which
-    later step has found the optimum. `minima` are further optima within the noise that a report
-    met. A pickled fit keeps its error, which takes an evaluation; where the model gives another
-    one when it is loaded, a line on stderr says so.
+    Use it in this order: print it, read `parameters` and `caveats`, then `predict`, `plot` and
+    `report`. Properties are computed at their first use. A fit can be pickled if its model can; it
+    stores its error, and loading evaluates the model: if the error has changed, a line on stderr
+    says so.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        Model, data and space.
+    theta : ndarray of shape (f,)
+        The free parameters at the optimum, in their units.
+    run : ndarray of shape (f,)
+        The end of the search, from which a descent leads to `theta`.
+    descents : Descents, optional
+        Summary of the descents of the search; None without a search.
+    level : float, optional
+        Level of confidence intervals.
+    moving : int, optional
+        Evaluations after which the descent to `theta` was still improving; 0 if it converged.
+    found_by : str, optional
+        The step after the search that found this optimum, for example a profile; empty if the
+        search found it.
+    minima : tuple of Minimum, optional
+        Other optima within the noise, found by a report.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> t = np.linspace(0, 2, 50)
+    >>> y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(50)
+    >>> fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
+    >>> fit.parameters[["value", "standard_error"]].round(3)
+       value  standard_error
+    a  2.020           0.021
+    b  1.524           0.024
+    >>> fit.caveats
+    []
+    >>> fit.predict([0.0, 1.0]).value.round(3)
+    array([2.02, 0.44])
     """
 
     problem: CurveFit
@@ -84,14 +121,14 @@ class Fit(Remade):
     minima: tuple[Minimum, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields, and the error by which a changed model is known."""
+        """Fields, and the error at the optimum."""
         return super().__getstate__() | {"error": self.error}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Evaluate the model, whose function may be another one than when the fit was stored."""
+        """Restore the fields; a changed error of the model is reported on stderr."""
         before = state.pop("error", None)
         vars(self).update(state)
-        if before is None:  # of a version that stored none
+        if before is None:  # stored by an older version
             return
         dataset = self.problem.dataset
         close = SAME * float(np.abs(dataset[dataset.output]).max())
@@ -108,15 +145,15 @@ class Fit(Remade):
 
     @cached_property
     def uncertainty(self) -> Linearised:
-        """Standard errors and correlations, which allow for errors that depend on neighbours'.
+        """Standard errors and correlations; they allow for correlated errors of neighbouring rows.
 
-        Raises ValueError with no more rows than parameters.
+        Raises ValueError if there are no more rows than parameters.
         """
         return linearised(self.problem, self.theta, neighbours=True)
 
     @cached_property
     def _optima(self) -> tuple[Linearised, ...]:
-        """The uncertainties at all optima within the noise, that of this one first."""
+        """Uncertainties at all optima within the noise, this optimum first."""
         here = self.uncertainty
         minima = self.minima + (() if self.descents is None else self.descents.minima)
         if not minima:
@@ -128,22 +165,37 @@ class Fit(Remade):
 
     @cached_property
     def alternatives(self) -> pd.DataFrame:
-        """The optima that the data cannot tell apart, a row each; no row where there is only one.
+        """Optima that the data cannot distinguish from this one, a row each, this one first.
 
-        The chi-squared of each exceeds the smallest by no more than an interval of `level` allows,
-        by a factor that the residuals tell where the noise is not known. Columns are `optimum`
-        (from 1, this fit), `excess` (of chi-squared above the first), the parameters, and the
-        derived quantities of the model. The intervals of `parameters` span all of them. Raises
-        ValueError with no more rows than parameters.
+        The table is empty if there is only one optimum. Chi-squared of each row exceeds the
+        smallest by no more than an interval of `level` allows; if
+        the noise is unknown, the residuals estimate its variance.
+
+        Returns
+        -------
+        DataFrame
+            Columns `optimum` (from 1, this fit), `excess` (of chi-squared over the first), the
+            parameters and the derived quantities of the model. The intervals of `parameters` span
+            all optima.
+
+        Raises
+        ------
+        ValueError
+            If there are no more rows than parameters.
         """
         return optima_table(self.problem, self._optima)
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter, free, fixed or tied: value, standard error, linearised interval.
+        """Table of all parameters with their values, standard errors and confidence intervals.
 
-        Where the data cannot tell several optima apart (`alternatives`), the interval spans all of
-        them; the standard error is that of this one.
+        Returns
+        -------
+        DataFrame
+            A row per parameter, with columns `value`, `standard_error`, `low`, `high`, `unit` and
+            `held`. Intervals are linearised at `level`. If the data cannot distinguish several
+            optima (`alternatives`), the intervals span all of them, and standard errors refer to
+            this one. Standard errors are NaN if there are no more rows than parameters.
         """
         import pandas as pd
 
@@ -170,30 +222,30 @@ class Fit(Remade):
 
     @property
     def values(self) -> dict[str, float]:
-        """The parameters' values by name."""
+        """Values of all parameters by name, in their units."""
         return whole_values(self.problem, self.theta)
 
     @cached_property
     def error(self) -> float:
-        """Root-mean-square error, in the output's unit."""
+        """Root-mean-square error, in the unit of the output."""
         return float(np.sqrt(np.mean(self.problem.errors(self.theta) ** 2)))
 
     @property
     def optimum(self) -> str:
-        """The evidence that the optimum is the best one, or the reason to doubt it."""
+        """The evidence that this is the global optimum, or the reason for doubt, in sentences."""
         limits = (f"{limit}." for limit in at_limits(self.problem, self.theta))
         return " ".join([self._standing.statement, *limits])
 
     @cached_property
     def _standing(self) -> Standing:
-        """The evidence for the optimum, or the doubt about it, as in the report."""
+        """Evidence for the optimum, or doubt about it, as in the report."""
         from miho.identification.optimum import standing_of
 
         searches = () if self.descents is None else (self.descents,)
         started = time.perf_counter()
         self.problem.loss(self.theta[None])
         at = None
-        # To see whether a parameter has an effect elsewhere takes many evaluations.
+        # Whether a parameter has an effect elsewhere takes many evaluations.
         if not is_dear(time.perf_counter() - started):
             with contextlib.suppress(ValueError):  # too few rows
                 at = self.uncertainty
@@ -204,10 +256,10 @@ class Fit(Remade):
 
     @cached_property
     def caveats(self) -> list[str]:
-        """Sentences on what takes the numbers away: `print` shows them below the table.
+        """Sentences on the limits of the results; `print` shows them below the table.
 
-        They are of parameters at a bound or not identifiable, of optima that the data cannot tell
-        apart, and of an optimum in doubt. All else is in `notes`, which takes longer.
+        They name parameters at a bound or not identifiable, optima that the data cannot
+        distinguish, and an uncertain optimum. `notes` has all remarks, and takes longer.
         """
         from miho.identification.flags import doubtful, ended_at_bounds, held_at_bounds, unseen
         from miho.identification.report import REMEDY
@@ -224,10 +276,19 @@ class Fit(Remade):
         return sentences + unseen(at, space, everywhere=False)
 
     def report(self, **settings: Any) -> Report:
-        """All that can be told, with profile intervals; `settings` are those of `make_report`.
+        """Full report, with profile intervals; takes up to some seconds.
 
-        Takes up to some seconds. Where it meets a better optimum, this becomes the fit's own, so
-        that the fit tells what its report does.
+        If the report finds a better optimum, the fit moves to it, so that both agree.
+
+        Parameters
+        ----------
+        **settings
+            Settings of `miho.identification.make_report`.
+
+        Returns
+        -------
+        Report
+            The report; print it, or write it as a page.
         """
         from miho.identification.report_steps import make_report
 
@@ -240,10 +301,10 @@ class Fit(Remade):
         return report
 
     def _adopt(self, report: Report) -> None:
-        """Take the optimum of a report, and the report's statement on it.
+        """Take over the optimum of a report, and its statement on the optimum.
 
-        It is the fit's own, another and better one, or the same to more digits. Then those within
-        the noise are the same, and no descent has to lead to them again.
+        This is the optimum of the fit, a better one, or the same one to more digits. In the last
+        case the other optima within the noise stay the same and are not searched again.
         """
         if not np.array_equal(report.at.theta, self.theta):
             before, after = self.problem.loss(np.stack([self.theta, report.at.theta]))
@@ -262,13 +323,26 @@ class Fit(Remade):
 
     @cached_property
     def notes(self) -> list[str]:
-        """What the report has to say of search, data and model, a sentence each."""
+        """All remarks of the report on search, data and model, a sentence each."""
         return self.report().notes
 
     def predict(self, x: Any) -> Prediction:
-        """The curve at inputs, given as to `fit`, with its interval at `level`.
+        """Predict the curve at given inputs, with its confidence interval at `level`.
 
-        Of a tire in ISO-W signs.
+        Parameters
+        ----------
+        x : array_like, tuple, mapping or DataFrame
+            Input columns, (N,) each, as in `miho.fit`; for a tire in ISO-W signs.
+
+        Returns
+        -------
+        Prediction
+            `value`, `low` and `high`, (N,) each, in the unit of the output.
+
+        Raises
+        ------
+        ValueError
+            If most Fz of a tire are negative.
         """
         inputs = inputs_of(self.problem.model, x)
         if isinstance(whole_model(self.problem.model), TireFormula) and np.median(inputs["Fz"]) < 0:
@@ -278,29 +352,38 @@ class Fit(Remade):
         return Prediction(value, value - reach, value + reach)
 
     def to_tir(self, path: str | os.PathLike[str]) -> None:
-        """Write a fitted tire as a property file; what else its own file says is kept."""
+        """Write a fitted tire as a property file; all other entries of its file are kept.
+
+        Raises TypeError if the model is not a tire.
+        """
         model = whole_model(self.problem.model)
         if not isinstance(model, TireFormula):
             raise TypeError("only a fit of a tire can be written as a property file")
         model.write(self.values, path)
 
     def posterior(self, **settings: Any) -> Any:
-        """The posterior distribution, as an ArviZ object (extra `posterior`).
+        """Sample the posterior distribution as an ArviZ object (needs the extra `posterior`).
 
-        `settings` are those of `miho.identification.sample_posterior`.
+        Parameters
+        ----------
+        **settings
+            Settings of `miho.identification.sample_posterior`.
         """
         from miho.identification.posterior import sample_posterior
 
         return sample_posterior(self.problem, self.theta, **settings)
 
     def _band(self, *columns: Array) -> tuple[Array, Array]:
-        """The curve at input columns (N,), and the half width of its interval."""
+        """Curve at input columns (N,), and the half width of its interval."""
         value = self.problem.model.predict(self.theta[None], *columns)[0]
         slopes = self.problem.model.jacobian(self.theta, *columns)
         return value, self.uncertainty.reach(slopes, self.level)
 
     def plot(self) -> Figure:
-        """Data and curve with its interval; over several inputs, measured over predicted values."""
+        """Plot the data and the curve with its interval.
+
+        With several inputs the figure shows measured over predicted values.
+        """
         from miho.analysis.figures.report import Column, curve_band, fit_figure
 
         dataset, inputs = self.problem.dataset, self.problem.model.inputs
@@ -316,7 +399,7 @@ class Fit(Remade):
         return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:
-        """The parameters, the error, what is known of the optimum, and what takes them away."""
+        """The parameters, the error, the evidence for the optimum, and the caveats."""
         table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
@@ -349,11 +432,11 @@ class Fit(Remade):
             return False
 
     def __repr__(self) -> str:
-        """As it is printed, so that an interpreter shows it."""
+        """The printed form, for interpreters."""
         return str(self)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """The form shown in a notebook."""
         table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
         lines = str(self).splitlines()[len(self.parameters) + 1 :]
         return table + "".join(f"<p>{escape(line)}</p>" for line in lines)

@@ -1,4 +1,4 @@
-"""Thousands of small fits of a formula by the machine of `miho.core`, one after the other."""
+"""Thousands of small fits of a formula by the virtual machine of `miho.core`."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from miho.optim.brackets import draw_starts
 from miho.quantities import Array
 
 BRACKETS, FIRST = 32, 4
-"""Brackets at most, and those that nearly all datasets need."""
+"""Largest number of brackets, and the number that suffices for nearly all datasets."""
 SIZE, LARGEST = 16, 64
-"""Starts of a bracket for each parameter that is not solved for, and at most."""
+"""Starts of a bracket for each nonlinear parameter, and at most."""
 FEW, MANY = 2, 7
-"""So many descents, and one for each parameter that is not solved for, are enough where all of them
-ended in one optimum; from MANY on the rule of evidence says so."""
+"""This number of descents, plus one for each nonlinear parameter, is enough if all end in one
+optimum; from MANY on the rule of evidence applies."""
 NUMBERS = 2_000_000
-"""Values and derivatives of a call at one configuration of each dataset: a fraction of a second."""
+"""Values and derivatives per call, at one configuration of each dataset: a fraction of a second."""
 ROUNDING = 1e-12
-"""Residuals of this share of the data are rounding."""
+"""Residuals below this share of the data are rounding."""
 CONVERGED, EVIDENT, SINGULAR = 0, 1, 2
 
 
@@ -42,23 +42,23 @@ class Found(Ends):
     flags: NDArray[np.bool_]
 
     def some(self, at: Indices) -> Found:
-        """Those at some positions."""
+        """Results at given positions."""
         return Found(*(getattr(self, field.name)[at] for field in fields(self)))
 
     def put(self, at: Indices, other: Found) -> None:
-        """Replace those at some positions."""
+        """Replace the results at given positions."""
         for field in fields(self):
             getattr(self, field.name)[at] = getattr(other, field.name)
 
 
 @dataclass(frozen=True)
 class MachineFits:
-    """Fits of datasets, each by descents from the best starts of brackets of its own.
+    """Fits of many datasets, each by descents from the best starts of its brackets.
 
-    The brackets are the same for all datasets, and those of `MIHOGN` in how they are drawn; but all
-    starts are looked at on all rows, and one descends. A dataset's brackets end when the first
-    few have all ended in one optimum, or by the rule of `miho.optim.evidence`. So what is found of
-    a dataset does not depend on the others.
+    All datasets have the same brackets, drawn as in `MIHOGN`. Here all starts are evaluated on all
+    rows, and one start of each bracket descends. A dataset is done when its first brackets have all
+    ended in one optimum, or by the rule of `miho.optim.evidence`. So the result of a dataset does
+    not depend on the other datasets.
     """
 
     model: Model
@@ -69,7 +69,7 @@ class MachineFits:
 
     @classmethod
     def of(cls, model: Model, space: Space, datasets: Datasets) -> MachineFits | None:
-        """The fits of a formula; None without a machine, and for what is no formula."""
+        """Fits of a formula; None without the machine, and for models that are not formulas."""
         if machine() is None or not isinstance(model, Expression):
             return None
         tape = traced_together(
@@ -80,7 +80,7 @@ class MachineFits:
     def search(
         self, which: Indices, seed: Sequence[int], progress: Callable[[int], object], few: int = 0
     ) -> Found:
-        """The optima of some datasets; `few` descents are enough where all end in one optimum."""
+        """Optima of some datasets; `few` descents are enough if all of them end in one optimum."""
         few = few or min(MANY, FEW + self._nonlinear)
         found = self._fit(which, self._brackets(seed, FIRST), few, False, progress)
         rest = np.flatnonzero(~found.flags[:, EVIDENT])
@@ -92,11 +92,11 @@ class MachineFits:
     def descend(
         self, which: Indices, starts: Array, progress: Callable[[int], object] = lambda _: None
     ) -> Found:
-        """The best ends of descents from all starts, (M, s, d) for each dataset or (1, s, d)."""
+        """Best ends of descents from all starts: (M, s, d) for each dataset, or (1, s, d)."""
         return self._fit(which, starts, 1, True, progress)
 
     def covariance(self, found: Found) -> Array:
-        """The covariance (M, d, d), by NumPy where derivatives are close to being dependent."""
+        """Covariance (M, d, d); computed with NumPy where derivatives are nearly dependent."""
         singular = np.flatnonzero(found.flags[:, SINGULAR])
         if singular.size:
             ends = Ends(found.thetas[singular], found.squares[singular], found.converged[singular])
@@ -105,7 +105,7 @@ class MachineFits:
         return found.covariance
 
     def _brackets(self, seed: Sequence[int], count: int) -> Array:
-        """The starts (count, size, d) of the first brackets, in units."""
+        """Starts (count, size, d) of the first brackets, in units."""
         size = min(LARGEST, SIZE * self._nonlinear)
         drawn = [
             draw_starts(self.space, size, np.random.default_rng([*seed, k]), k)
@@ -135,7 +135,7 @@ class MachineFits:
 
     @cached_property
     def _given(self) -> tuple[Any, ...]:
-        """What all calls are given."""
+        """Arguments that are the same in all calls."""
         data, space = self.datasets, self.space
         log = np.array([parameter.scale == "log" for parameter in space.parameters])
         box = tuple(np.array(end, dtype=float) for end in (space.low, space.high))
@@ -145,21 +145,22 @@ class MachineFits:
 
     @property
     def _nonlinear(self) -> int:
-        """How many parameters are not solved for, at least 1."""
+        """Number of nonlinear parameters, at least 1."""
         return max(1, len(self.space) - len(self._linear))
 
     @cached_property
     def _linear(self) -> list[int]:
-        """The positions of the parameters in which the model is jointly linear."""
+        """Positions of the parameters in which the model is jointly linear."""
         names = self.model.linear
         return [k for k, name in enumerate(self.space.names) if name in names]
 
 
 def checked(fits: MachineFits, found: Found, which: Indices, seed: int, better: float) -> Indices:
-    """Search some datasets by brackets of their own until the rule of evidence is met.
+    """Search some datasets again with different brackets, until the rule of evidence is met.
 
-    They also descend from where the others of them ended.
-    Gives those of which the sum of squares is lower by this share, after putting them right.
+    They also descend from the optima of the other checked datasets. Returns the datasets whose sum
+    of squares decreased by more than the share `better`, after their results in `found` are
+    replaced.
     """
     again = fits.search(which, (seed, 1), lambda _: None, few=BRACKETS)
     ends = found.thetas[which[np.isfinite(found.squares[which])]]

@@ -1,4 +1,4 @@
-"""Thousands of small fits of one model, side by side: no search, page or folder for each."""
+"""Thousands of small fits of one model in one call, without a search or a report for each."""
 
 from __future__ import annotations
 
@@ -29,14 +29,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SEARCHED = 5
-"""Datasets that are searched whole, evenly among all; the others start from where these ended."""
+"""Number of datasets that get a whole search, evenly spaced among all; the other datasets start
+from the optima of these searches."""
 CHECKED = 20
-"""So many are searched longer afterwards, to see whether the others can be believed: where a tenth
-of all missed the optimum, one of 20 shows it nine times in ten."""
+"""Number of datasets that are searched longer afterwards, to check the others: if a tenth of all
+missed the optimum, one of 20 shows it nine times in ten."""
 BETTER = 1e-6
-"""A sum of squares is lower if it is so by this share."""
+"""Relative decrease from which a sum of squares counts as lower."""
 SLOW = 2.0
-"""Seconds after which progress is shown, and between two lines of it."""
+"""Seconds before the first progress line, and between two lines."""
 
 
 def fit_many(
@@ -52,22 +53,63 @@ def fit_many(
     constraints: str | Sequence[str] = (),
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Fit a model to many datasets; a row for each, at the cost of arithmetic.
+    """Fit a model to many datasets and return a table with one row for each.
 
-    The datasets are the groups of a data frame `x` that have one value in the column `by`, with `y`
-    the name of a column; or else the rows of `y` (M, N), over columns (N,) or (M, N) in `x`.
-    `model`, `space`, `fixed`, `tied` and `constraints` are those of `miho.fit`.
+    Formulas and other models are treated differently. Each dataset of a formula descends from the
+    best of common starting points, bracket after bracket, until the descents agree. For other
+    models a few datasets are searched, and the others descend from the optima of these searches and
+    from the optima of datasets with larger errors. Some datasets are then searched longer, to check
+    the others. With a `start`, each dataset descends from it and there is no check.
 
-    Each dataset of a formula descends from the best of common starts, and again from the best of
-    other ones, until the descents agree. Of what is no formula, a few datasets are searched whole;
-    the others descend from the best of where those ended, and again from where others ended that
-    are worse off. Some datasets are then searched longer, to see whether the others can be
-    believed. With a `start`, a number or one for each dataset (M,) of every free parameter, each
-    descends from there and is not checked.
-    The columns are each parameter and its standard error (`a`, `a_error`), the root-mean-square
-    `error`, `rows`, and whether the descent `converged`. The table's `attrs` say of how many
-    `checked` datasets the search found a `better` optimum, of which a warning tells.
-    Raises ValueError for what does not fit together.
+    Parameters
+    ----------
+    model : Model or callable
+        A function of input columns and parameters, or a `Model`, as in `miho.fit`.
+    x : array_like, tuple, mapping or DataFrame
+        With `by` a data frame of all datasets; else columns of shape (N,), which all datasets
+        share, or (M, N).
+    y : str or array_like of shape (M, N)
+        With `by` the name of the output column; else the output of each dataset.
+    space : Space or mapping of str
+        Bounds of each parameter by name, as in `miho.fit`; priors are not supported.
+    by : str, optional
+        Column of `x` with one value for each dataset.
+    start : mapping of str to float or array_like of shape (M,), optional
+        A value for each free parameter, for all datasets or for each.
+    fixed : mapping of str to float, optional
+        Parameters that are fixed to numbers.
+    tied : mapping of str to str, optional
+        Parameters that are tied to expressions of other parameters.
+    constraints : str or sequence of str, optional
+        Linear constraints, for example "a < b".
+    seed : int, optional
+        Seed of the searches.
+
+    Returns
+    -------
+    DataFrame
+        A row for each dataset, with columns for each parameter and its standard error (`a`,
+        `a_error`; NaN at a bound or without a degree of freedom), the root-mean-square `error` in
+        the unit of the output, the number of `rows`, and whether the descent `converged`. `attrs`
+        counts the `checked` datasets and those with a `better` optimum, which also raise a warning.
+
+    Raises
+    ------
+    ValueError
+        If model, data and settings do not fit together, or if no finite value was found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> t = np.linspace(0, 2, 50)
+    >>> y = np.array([a * np.exp(-1.5 * t) for a in (1.0, 2.0, 3.0)])
+    >>> table = miho.fit_many(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
+    >>> table[["a", "b", "converged"]].round(4)
+         a    b  converged
+    0  1.0  1.5       True
+    1  2.0  1.5       True
+    2  3.0  1.5       True
     """
     import pandas as pd
 
@@ -82,9 +124,11 @@ def fit_many(
     taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
     clash = sorted(taken.intersection(bounds.names))
     if clash:
-        raise ValueError(f"{', '.join(clash)}: columns of the table have these names; use others")
+        raise ValueError(
+            f"{', '.join(clash)}: reserved for columns of the result; rename these parameters"
+        )
     if any(parameter.prior is not None for parameter in bounds.parameters):
-        raise ValueError("priors need miho.fit; leave them out")
+        raise ValueError("priors: fit_many does not support them; remove them, or use miho.fit")
     datasets = parts.of(chosen)
     thetas = None if starts is None else starts_of(problem, starts, len(datasets))
 
@@ -105,8 +149,8 @@ def fit_many(
     table.attrs.update(found)
     if found["better"]:
         warnings.warn(
-            f"of {found['checked']} datasets that were searched longer, {found['better']} have a "
-            "better optimum than their descent found, and so may others; narrow the bounds",
+            f"{found['better']} of {found['checked']} datasets that were searched longer have a "
+            "better optimum than their descent found, and others may have one; narrow the bounds",
             UserWarning,
             stacklevel=2,
         )
@@ -114,13 +158,13 @@ def fit_many(
 
 
 Results = tuple[Ends, Array, dict[str, int]]
-"""Ends, their covariance (M, d, d), and how many were checked, and found better."""
+"""Ends, their covariance (M, d, d), and the numbers of datasets checked and found better."""
 
 
 def _by_machine(
     fits: MachineFits, starts: Array | None, seed: int, progress: Callable[[int], object]
 ) -> Results:
-    """The fits of a formula, from starts (1 or M, d) if given."""
+    """Fits of a formula, from starts (1 or M, d) if they are given."""
     everyone = np.arange(len(fits.datasets))
     if starts is not None:
         found = fits.descend(everyone, starts[:, None, :], progress)
@@ -138,7 +182,7 @@ def _by_numpy(
     seed: int,
     progress: Callable[[int], object],
 ) -> Results:
-    """The same for any model, by whole searches of a few datasets."""
+    """Fits of any model, with whole searches of a few datasets."""
     count = len(batch.rows)
     everyone = np.arange(count)
     if starts is not None:
@@ -168,11 +212,11 @@ def _middle(values: Array) -> float:
 
 
 def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Array:
-    """The starts (1 or M, d) of values of each parameter, (1,) or (M,)."""
+    """Starts (1 or M, d) from values of each parameter, (1,) or (M,)."""
     for name, values in start.items():
         if values.size not in (1, count):
             raise ValueError(
-                f"start: {name} has {values.size} values and there are {count} datasets; give one, "
+                f"start: {name} has {values.size} values for {count} datasets; expected one value, "
                 "or one for each"
             )
     rows = np.stack(np.broadcast_arrays(*map(np.float64, start.values())), axis=-1)
@@ -187,7 +231,7 @@ def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Arra
         if not inside.all():
             value = thetas[np.flatnonzero(~inside)[0], k]
             raise ValueError(
-                f"start: {name} is {value:g}; give one from {space.low[k]:g} to {space.high[k]:g}"
+                f"start: {name} is {value:g}; expected {space.low[k]:g} to {space.high[k]:g}"
             )
     return np.ascontiguousarray(thetas)
 
@@ -195,7 +239,7 @@ def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Arra
 def _table(
     problem: CurveFit, rows: NDArray[np.int64], ends: Ends, covariance: Array, index: pd.Index
 ) -> pd.DataFrame:
-    """A row per dataset; standard errors are NaN at a bound and without a degree of freedom."""
+    """Table of the results, a row per dataset; unknown standard errors are NaN."""
     import pandas as pd
 
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
@@ -223,7 +267,7 @@ def _table(
 
 @dataclass
 class _Progress:
-    """How many of all descents are done, on stderr now and then."""
+    """Progress of the descents, shown on stderr every few seconds."""
 
     total: int
     started: float = field(default_factory=time.perf_counter)

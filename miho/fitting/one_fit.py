@@ -1,4 +1,4 @@
-"""A fit in one call: from a function, columns and bounds to parameters, and how sure they are."""
+"""Fit one model to data: from a function, columns and bounds to values and standard errors."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from miho.optim.gauss_newton_descent import descended as descended_by_machine
 from miho.parallel import Evaluations, Workers
 
 EDGE = 1e-6
-"""A value this close to the end of a range, as a share of it, is at its edge."""
+"""A value closer than this share of a range to one of its ends counts as at the edge."""
 SETTLED, ROUNDS = 1e-6, 100
-"""The deviation of the errors is estimated until it changes by less than this share, in so many
-rounds at most."""
+"""The estimate of the error's standard deviation has converged if it changes by less than this
+share; `settled` makes at most this number of rounds."""
 
 
 def fit(
@@ -67,46 +67,111 @@ def fit(
     convention: str = "iso-w",
     ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> Fit:
-    """Fit a model to data, within bounds and without a start, or from a start without a search.
+    """Fit a model to data: a global search within bounds, or one descent from a start.
 
-        fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
+    The search needs no starting values: it descends from many points within the bounds until enough
+    of the descents agree on the best optimum [1]_. With a `start` of every free parameter, there is
+    one descent from it and no search.
 
-    `model` is a function of input columns and then parameters, or a `Model`; annotations of a
-    function that are strings are units. `x` is a column (N,), a tuple of columns, or a mapping or
-    data frame of columns by name, and `y` (N,) or the name of one of its columns. `space` gives
-    each parameter its bounds: (low, high), a mapping of the settings of `miho.Parameter`, such as
-    {"low": 1, "high": 1e6, "scale": "log"}, or a `Parameter`. One with a default in the function,
-    or bound by `functools.partial`, is fixed there without. `fixed` holds parameters at numbers;
-    `tied` at expressions of others, which may be parameters of the space only. `constraints` are
-    linear: "a < b < c", "a + b = 1", "b - a < 5", or several of them.
+    Parameters
+    ----------
+    model : Model, callable, MagicFormula or path
+        A function ``f(x, ..., a, b, ...)`` of input columns, then parameters, or a `Model`. String
+        annotations of a function are units. A tire from `miho.load_tir`, or the path of its
+        property file, is also a model, of Fx, Fy or Mz as named by `y`; its coefficients are free
+        if they have bounds or a start.
+    x : array_like, tuple, mapping or DataFrame
+        Input columns, (N,) each: one column, a tuple of columns, or columns by name.
+    y : array_like of shape (N,) or str
+        Measured output, or the name of its column in `x`.
+    space : Space, mapping of str, or collection of str, optional
+        Bounds of each parameter by name: (low, high), a `Parameter`, or a mapping of its settings,
+        for example ``{"low": 1, "high": 1e6, "scale": "log"}``. A parameter without bounds is fixed
+        to its default in the function, or to its value in `functools.partial`. For a tire a
+        collection of names is enough: these coefficients start from the tire's values.
+    sigma : float, array_like of shape (N,) or str, optional
+        Standard deviation of the errors of `y`, in the same unit: a number, a value for each row,
+        or the name of a column of `x`. By default the residuals estimate it.
+    sigma_known : bool, optional
+        Whether `sigma` is absolute. If false, it is known up to a common factor, which the
+        residuals estimate; so is the weight of priors, in turn with the fit.
+    missing : {"raise", "drop"}, optional
+        Treatment of rows with a missing number (NaN or masked). "drop" omits them and reports their
+        number on stderr.
+    start : mapping of str to float, or "journal", optional
+        A value for each free parameter: the fit is one descent from it, and bounds are not needed.
+        "journal" descends from the best configuration in the `journal`, by any method.
+    fixed : mapping of str to float, optional
+        Parameters that are fixed to numbers.
+    tied : mapping of str to str, optional
+        Parameters that are tied to expressions of other parameters, for example ``{"b": "2 * a"}``.
+        Expressions may use parameters that occur in `space` only.
+    constraints : str or sequence of str, optional
+        Linear constraints, for example "a < b < c", "a + b = 1" or "b - a < 5".
+    loss : Loss or str, optional
+        Loss of a residual: its square by default, or a robust loss, for example
+        ``miho.identification.Huber(scale)``. With a known `sigma`, "huber" and "cauchy" choose the
+        scale.
+    method : Optimizer or str, optional
+        The search method, `MIHOGN()` by default: a method of `miho.methods`, or its name on the
+        command line, for example "least_squares".
+    budget : Budget, optional
+        Limit on evaluations or seconds.
+    seed : int, optional
+        Seed of the search; the same seed gives the same result.
+    compiled : bool, optional
+        Whether the virtual machine of `miho.core` runs the search if the model is a formula, that
+        is, arithmetic and NumPy's functions of numbers. Other models, and all models if false, are
+        searched with NumPy.
+    workers : int, str, executor or callable, optional
+        Workers for expensive models: a number of processes (-1 for one per core), an executor, or
+        the address of a cluster. The result does not depend on them.
+    evaluation_limit : float, optional
+        Longest time of an evaluation, in seconds; a longer evaluation has no value.
+    journal : path, optional
+        File of evaluations. Evaluations longer than about 10 ms are stored when they end. A second
+        call reuses them and repeats only a few, to check that the model is unchanged. Other bounds,
+        priors, sigma and methods may share the file; another model or other data raise an error.
+    convention : str, optional
+        Sign convention of the data of a tire, ISO-W by default.
+    ranges : mapping of str, optional
+        For a tire, the plausible range of a column, (low, high); None accepts every value.
 
-    `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
-    a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell. What
-    priors count beside errors that are not known is settled with the fit. Rows in which a number is
-    `missing` (NaN or masked) are refused, or left out with "drop", which a line on stderr counts.
+    Returns
+    -------
+    Fit
+        The optimum, with its standard errors, predictions, figures and report.
 
-    `method` searches within the bounds, `MIHOGN()` by default; it is one of `miho.methods`, or its
-    name on the command line, such as "least_squares". With a `start` of every free
-    parameter there is one descent from there, and bounds are not needed; with "journal" one from
-    the best configuration that stands in the journal, whatever method evaluated it. `loss` is what
-    a residual costs: its square, or one that outliers cannot dominate, such as
-    `miho.identification.Huber(scale)`; where `sigma` is known, "huber" or "cauchy" will do. A
-    function of arithmetic and NumPy's functions of numbers is searched by the machine of
-    `miho.core`, any other one by steps in NumPy, as all are where `compiled` is false.
+    Raises
+    ------
+    ValueError
+        If model, data, bounds and settings do not fit together, or if no finite value was found.
 
-    A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
-    names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
-    in ["PDY1", "PKY1"], they start from the tire's own values.
+    See Also
+    --------
+    fit_joint : Several datasets with common parameters.
+    fit_many : Many small datasets of one model.
 
-    Where an evaluation takes long, `workers` make them: a number of processes, -1 for one per core,
-    an executor, or the address of a cluster; the result is the same. One that takes longer than
-    `evaluation_limit` seconds has no value. In the file `journal` stands every evaluation that
-    takes longer than some 10 ms, as soon as it is made: the same call makes only a few of them
-    again, to see that the model is the same. One with other bounds, priors, sigma or another method
-    knows them too, where it comes across the same configurations; one of another model or of other
-    data is refused.
+    References
+    ----------
+    .. [1] C. G. E. Boender, A. H. G. Rinnooy Kan, "Bayesian stopping rules for multistart global
+       optimization methods", Mathematical Programming 37 (1987) 59-80.
 
-    Raises ValueError for what does not fit together, and where no finite value was found.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> t = np.linspace(0, 2, 50)
+    >>> y = 2 * np.exp(-1.5 * t)
+    >>> fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
+    >>> {name: round(value, 4) for name, value in fit.values.items()}
+    {'a': 2.0, 'b': 1.5}
+
+    A descent from a start, as with `scipy.optimize.curve_fit`:
+
+    >>> fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, start={"a": 1, "b": 1})
+    >>> round(fit.values["b"], 4)
+    1.5
     """
     method = None if method is None else method_of(method)
     check_budget(budget)
@@ -114,11 +179,11 @@ def fit(
     if isinstance(start, str):
         check_start(start, journal)
         start = None
-    # A tire has bounds or a start of its own; anything else needs them by name.
+    # A tire has default bounds or a start; other models need them by name.
     if isinstance(model, MagicFormula | str | os.PathLike):
         model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
     elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
-        raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
+        raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, missing, convention, ranges)
@@ -131,10 +196,10 @@ def fit(
     if bounds.radial is not None:
         sought = space_of(*stated, reach=DENSE)
         bounds = constrained(sought, constraints)
-    if constraints and start is not None:  # which is to blame before what it makes of the data
+    if constraints and start is not None:  # a bad start is reported before the model is called
         free_values(bounds.free, ties_of(chosen, bounds), start)
 
-    first: CurveFit | None = None  # whose model is known for what it is
+    first: CurveFit | None = None  # its model has been examined
 
     def problem_of(bounds: Space, prior_scale: float | None = None, dear: bool = True) -> CurveFit:
         known = chosen if first is None else whole_model(first.model)
@@ -143,7 +208,7 @@ def fit(
             compiled=compiled, prior_scale=prior_scale, dear=dear,
         )  # fmt: skip
 
-    # Beside errors that are not known, priors count by what the residuals say.
+    # If sigma is unknown, the residuals determine the weight of priors.
     settles = has_priors(bounds) and (sigma is None or not sigma_known)
     plain = without_priors(bounds) if settles else bounds
     first = as_begun(lambda dear: problem_of(plain, dear=dear), journal, evaluation_limit)
@@ -164,9 +229,10 @@ def fit(
 
 
 def _check_within(sought: Space, own: Space, values: Mapping[str, float]) -> None:
-    """Refuse an end at the edge of a range that is `sought` though it is not the parameter's own.
+    """Raise ValueError if the optimum is at an edge of a range that only dense constraints needed.
 
-    It is no optimum: the edge is there because dense constraints need one.
+    Ranges of `sought` that differ from the ranges of `own` are such ranges; an end at their edge is
+    no optimum.
     """
     for near, far in zip(sought.parameters, own.parameters, strict=True):
         slack = EDGE * (near.high - near.low)
@@ -183,12 +249,16 @@ def settled(
     solved: Callable[[Space, float | None], Fit],
     evaluations: Evaluations | None = None,
 ) -> Fit:
-    """The fit beside priors whose weight depends on the errors, which are not known.
+    """Fit with priors whose weight depends on the unknown standard deviation of the errors.
 
-    `solved` fits within bounds, with priors that count beside errors of a standard deviation. That
-    is estimated without priors first (Theil and Goldberger, International Economic Review 2, 1961),
-    then from the residuals of the fit, in turn with the fit, with the degrees of freedom that
-    `linearised` takes. Raises ValueError where it is not settled after ROUNDS.
+    `solved` fits within bounds, given the standard deviation that weighs the priors. The first
+    estimate comes from a fit without priors [1]_, later ones from the residuals of the fit, with
+    the degrees of freedom of `linearised`. Raises ValueError if they do not converge in ROUNDS
+    rounds.
+
+    References
+    ----------
+    .. [1] H. Theil, A. S. Goldberger, International Economic Review 2 (1961) 65-78.
     """
 
     def noise(fit: Fit) -> float:
@@ -204,23 +274,23 @@ def settled(
         problem = replace(fit.problem, prior_scale=scale, dear=True)
         descent = refit(spread(problem, evaluations), fit.theta)
         fit = replace(fit, problem=problem, theta=descent.theta, moving=descent.moving)
-    raise ValueError("the errors and what priors count beside them do not settle; give sigma")
+    raise ValueError("sigma: its estimate and the weight of the priors do not converge; give sigma")
 
 
 def has_priors(space: Space) -> bool:
-    """Whether anything is known besides the data."""
+    """Whether any parameter has a prior."""
     return any(parameter.prior is not None for parameter in space.parameters)
 
 
 def without_priors(space: Space) -> Space:
-    """The same bounds, and nothing known besides."""
+    """The same space without priors."""
     return replace(space, parameters=tuple(replace(p, prior=None) for p in space.parameters))
 
 
 def descended(
     problem: CurveFit, start: Mapping[str, float], evaluations: Evaluations | None = None
 ) -> Fit:
-    """The optimum that a descent from a start of every free parameter leads to."""
+    """Fit at the end of one descent from a start of every free parameter."""
     model = problem.model
     theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
     if isinstance(model, Tied):
@@ -230,7 +300,7 @@ def descended(
         theta = descended_by_machine(rows, problem.space, theta)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
-        raise ValueError(f"{title(problem)}: is not finite at the start; give another one")
+        raise ValueError(f"{title(problem)}: the loss at the start is not finite; give another one")
     called = by_calls(problem, descent.theta[None], evaluations)
     if called is not None:
         return descended(called, start)

@@ -1,4 +1,4 @@
-"""The search of a problem, and the descent to the optimum that it has found."""
+"""Global search of a problem, and the descent from its result to the optimum."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ def searched(
     seed: int = 0,
     evaluations: Evaluations | None = None,
 ) -> Fit:
-    """The optimum of a problem, by `MIHOGN()` unless another method is given.
+    """Fit a problem by a search, with `MIHOGN()` unless a method is given.
 
-    `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
+    `evaluations` runs the search and the descent on workers. Raises KeyboardInterrupt after Ctrl-C,
+    and ValueError if no finite value was found.
     """
     method = DEFAULT if method is None else method_of(method)
     check_budget(budget)
@@ -55,7 +56,7 @@ def searched(
     # A small budget may end before any look at all rows of the data.
     theta = run.provisional if run.theta is None else run.theta
     if theta is None and not run.rejected and run.error is None:
-        raise ValueError(f"{name}: the budget ended before the first value; give a larger one")
+        raise ValueError(f"{name}: the budget ended before the first value; increase it")
     if theta is None:
         raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
     raised = {why: n for why, n in run.rejected.items() if not why.startswith(NOT_FINITE)}
@@ -64,10 +65,10 @@ def searched(
         sys.stderr.write(f"miho: {name}: evaluations without a value: {why}\n")
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
-        sys.stderr.write(f"miho: {name}: its best is taken, the search failed: {reason}\n")
+        sys.stderr.write(f"miho: {name}: the search failed, its best is taken: {reason}\n")
     descent = refit(spread(problem, evaluations), theta)
-    if not math.isfinite(descent.cost):  # as it may be on rows that the search did not look at
-        raise ValueError(f"{name}: no finite value was found on all rows; give a larger budget")
+    if not math.isfinite(descent.cost):  # possible on rows that the search did not evaluate
+        raise ValueError(f"{name}: no finite value was found on all rows; increase the budget")
     called = by_calls(problem, descent.theta[None], evaluations)
     if called is not None:
         left = _left(budget, run)
@@ -75,7 +76,7 @@ def searched(
             return searched(called, method, left, seed)
         problem, descent = called, refit(called, descent.theta)
         if not math.isfinite(descent.cost):
-            raise ValueError(f"{name}: no finite value was found; give a larger budget")
+            raise ValueError(f"{name}: no finite value was found; increase the budget")
         return Fit(problem, descent.theta, descent.theta, moving=descent.moving)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
     fit = Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
@@ -83,9 +84,9 @@ def searched(
 
 
 def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> Fit:
-    """The fit at the best of its optima; its descents keep those within the noise to all digits.
+    """Fit at the best of its optima, which its descents then store to all digits.
 
-    So nothing has to be descended to again, where an evaluation may take long.
+    Later steps do not have to descend to them again, which matters for expensive models.
     """
     if fit.descents is None:
         return fit
@@ -101,7 +102,7 @@ def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> F
 
 
 def _left(budget: Budget, run: RunRecord) -> Budget | None:
-    """What a run has left of its budget; None if that is less than it has spent."""
+    """Budget that a run has left; None if it is less than the run has used."""
     evaluations, seconds = budget.evaluations, budget.seconds
     if evaluations is not None:
         evaluations -= math.ceil(run.evaluations)
