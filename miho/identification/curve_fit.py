@@ -47,45 +47,81 @@ if TYPE_CHECKING:
 
 
 FRACTION = 1e-12
-"""A fidelity of m / N means m rows, whatever the rounding of the fraction."""
+"""Tolerance for the rounding of a fidelity: m / N means m rows."""
 EPSILON = float(np.finfo(float).eps)
 ROUNDING = 100.0
-"""An error of so many EPSILON of the output is rounding (root mean squares of both). A row's
-residual is rounded by some EPSILON of the output, r, which moves a loss L by up to 2 r sqrt(L).
-That is never more than AGREEING L + (ROUNDING r)^2, within which two losses count as equal: 100 is
-1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
+"""An error of this number of EPSILON of the output is rounding (both as root mean squares). The
+residual of a row is rounded by some EPSILON of the output, r, which changes a loss L by up to 2 r
+sqrt(L). This never exceeds AGREEING L + (ROUNDING r)^2, within which two losses count as equal: 100
+is 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 REMEMBERED = 1 << 20
-"""Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
+"""Errors to remember, as numbers, for the derivatives of a robust loss at the same
+configurations."""
 OF_THE_MODEL = ("noise", "_fitted", "_taped", "_of_thread")
-"""What a problem remembers of its model."""
+"""Cached attributes that depend on the form of the model."""
 BLOCK = 50_000
-"""Model values per block: the temporaries of one block stay in the cache of one core."""
+"""Model values per block; the temporaries of one block stay in the cache of one core."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurveFit(Remade, LeastSquaresProblem):
-    """Mean squared difference between model and data, in the output's unit squared.
+    """A least-squares problem: the mean squared difference of model and data (Eq. 5).
 
-    `rho` is the loss of one residual: the square of the paper's Eq. 5, or one that outliers cannot
-    dominate; `residuals` and `jacobian` are then of the transformed residuals, whose mean square
-    is the loss, and `errors` are the differences themselves. The space must name the model's
-    parameters in the model's order, and the units of space, data and model must agree; where it
-    fixes or ties some, `model` and `space` become those of the free ones (`miho.models.tied`),
-    and everything else follows. `label`
-    names the problem: the same data in two spaces are two problems. The square loss of a model
-    that is an `Expression` is a fast kernel, and takes batches on `threads` threads.
+    The loss has the squared unit of the output. Residuals are weighted by `scale` / sigma, so that
+    residuals, errors and loss keep the unit of the output. With a robust `rho`, `residuals` and
+    `jacobian` refer to the transformed residuals, whose mean square is the loss; `errors` are the
+    weighted differences themselves.
 
-    A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
-    describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. Like
-    any expression it is searched by the machine of `miho.core`, unless `compiled` is false. Any
-    other model is evaluated as it is, and so are all where the machine was not built.
+    Parameters
+    ----------
+    model : Model or callable
+        The model. A function has the annotations of `miho.models.FunctionModel`; if it consists of
+        arithmetic and NumPy's functions of numbers, it gets exact derivatives.
+    dataset : Dataset
+        The data, with the model's inputs and output as columns of the same units.
+    space : Space
+        The model's parameters in the model's order, in the same units. If it fixes or ties some of
+        them, `model` and `space` become the model and the space of the free parameters
+        (`miho.models.tied`).
+    rho : Loss, optional
+        Loss of one residual: its square (Eq. 5), or a robust loss.
+    label : str, optional
+        Name of the problem. The same data in two spaces are two problems and need two labels.
+    threads : int, optional
+        Threads for batches of the square loss of a model that is an `Expression`.
+    compiled : bool, optional
+        Whether the virtual machine of `miho.core` searches with models that are expressions. Other
+        models, and all models if the machine was not built, are evaluated with NumPy.
+    sigma : float or str, optional
+        Standard deviation of the errors, in the unit of the output: a number or a column of the
+        data.
+    sigma_known : bool, optional
+        Whether `sigma` is absolute; if false, it is known up to a common factor, which the
+        residuals estimate.
+    prior_scale : float, optional
+        Estimate of sigma that weighs the priors, in place of `scale`, if sigma is unknown.
+    tied_priors : tuple of Parameter
+        Tied parameters with a prior; set from `space`.
+    dear : bool, optional
+        Whether the model is known to be expensive; it is then not evaluated to check it.
 
-    `sigma` is the standard deviation of the errors, a number or a column of the data, in the
-    output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the
-    residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
-    loss keep the output's unit. `prior_scale` takes the place of `scale` for priors where sigma is
-    not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior. A
-    model that is known to be `dear` is not evaluated here to see whether it can be.
+    Raises
+    ------
+    ValueError
+        If model, data and space do not fit together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> t = np.linspace(0, 2, 5)
+    >>> data = miho.Dataset("decay", {"t": t, "y": np.exp(-t)}, {"t": "s", "y": "V"}, "y")
+    >>> def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    ...     return a * np.exp(-b * t)
+    >>> space = miho.Space((miho.Parameter("a", "V", 0, 5), miho.Parameter("b", "1/s", 0, 10)))
+    >>> problem = miho.CurveFit(decay, data, space)
+    >>> problem.loss(np.array([[1.0, 1.0]]))
+    array([0.])
     """
 
     model: Model
@@ -117,7 +153,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """The label, else model and dataset."""
+        """The label; by default the names of model and dataset."""
         if self.label is not None:
             return self.label
         name = f"{self.model.name or type(self.model).__name__.lower()}-{self.dataset.name}"
@@ -129,11 +165,11 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The parameters in which the residuals are linear."""
+        """Parameters in which the residuals are jointly linear."""
         if not self._square:
             return ()
         bent = {p.name for p in self.space.parameters if p.prior and p.scale == "log"}
-        if self.tied_priors and self.prior is not None:  # as far as they may depend on any
+        if self.tied_priors and self.prior is not None:  # parameters that tied priors depend on
             places = arguments_of(self.prior.tied_graphs)
             bent |= {name for k, name in enumerate(self.space.names) if f"p{k}" in places}
         return tuple(name for name in self.model.linear if name not in bent)
@@ -145,35 +181,35 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def noise(self) -> float:  # type: ignore[override]
-        """The mean square that is not the model's: how far neighbouring points scatter at most.
+        """Upper estimate of the mean square of the noise, from the scatter of neighbouring points.
 
-        Infinite where that is not known, as beside priors.
+        Infinite if it is unknown, for example with priors or weights.
         """
         if not self._square or self.model.ordered:
             return math.inf
         if self.weights is not None or self.prior is not None:
-            return math.inf  # neighbouring rows do not scatter alike, or are not all
+            return math.inf  # the scatter of neighbouring rows differs, or priors add to the loss
         return irreducible_square(self.inputs, self._output)
 
     @property
     def row_inputs(self) -> tuple[Array, ...]:  # type: ignore[override]
-        """The inputs along which noise has no structure: none where errors of rows are not noise.
+        """Input columns along which noise has no structure; empty if errors of rows are not noise.
 
-        They are not where a model is a system with a past, or where losses count outliers less.
+        This is the case for a system with memory, and for a robust loss.
         """
         return self.inputs if self._square and not self.model.ordered else ()
 
     @cached_property
     def rounding(self) -> float:  # type: ignore[override]
-        """Losses up to this, in the output's unit squared, are rounding and count as 0."""
+        """Largest loss that is rounding and counts as 0, in the output's unit squared."""
         return (ROUNDING * EPSILON) ** 2 * float(np.mean(self._output**2))
 
     @cached_property
     def resolution(self) -> float:  # type: ignore[override]
-        """Losses that differ by less than this, in the output's unit squared, count as equal.
+        """Difference below which two losses count as equal, in the output's unit squared.
 
-        Of losses as large as the output's variance, which are those of a fit that explains nothing,
-        a difference below EPSILON of that is rounding.
+        A fit that explains nothing has a loss as large as the variance of the output; at that size
+        a difference below EPSILON of the variance is rounding.
         """
         return max(EPSILON * float(np.var(self._output)), self.rounding)
 
@@ -188,7 +224,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def scale(self) -> float | None:
-        """The root of the harmonic mean of sigma^2, in the output's unit; None without sigma."""
+        """Root of the harmonic mean of sigma squared, in the output's unit; None without sigma."""
         if self.sigma is None:
             return None
         sigma = self.dataset[self.sigma] if isinstance(self.sigma, str) else np.array([self.sigma])
@@ -196,14 +232,14 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def weights(self) -> Array | None:
-        """What residuals are multiplied by, (N,), of mean square 1; None where all count alike."""
+        """Weights of the residuals, (N,), of mean square 1; None if all are equal."""
         if not isinstance(self.sigma, str) or self.scale is None:
             return None
         return np.asarray(self.scale / self.dataset[self.sigma])
 
     @cached_property
     def _fitted(self) -> Model:
-        """The model of `_target` over `_columns`, the weighted output."""
+        """The model of the weighted output `_target`, a function of `_columns`."""
         return self.model if self.weights is None else weighted(self.model)
 
     @cached_property
@@ -216,7 +252,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
-        """Fast forms of the square loss of a model that the machine runs."""
+        """Fast forms of the square loss, None if the machine cannot run the model."""
         model = self._fitted
         plain = self._square and self.prior is None
         if not (self.compiled and plain and isinstance(model, Expression)) or self._taped is None:
@@ -227,7 +263,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def _taped(self) -> TapedLoss | None:
-        """The model by the machine, None where that cannot run it."""
+        """The model on the machine, None if the machine cannot run it."""
         if not isinstance(self._fitted, Expression):
             return None
         columns, target = np.array(self._columns), self._target
@@ -235,19 +271,19 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def _of_graph(self) -> TapedLoss | None:
-        """The model that is known as a graph, by the machine: there is nothing to compare."""
+        """The model on the machine if it is a traced function; it needs no check against NumPy."""
         return self._taped if isinstance(self._fitted, TracedExpression) else None
 
     @property
     def machine_rows(self) -> Rows | None:
-        """Residuals of the square loss and their derivatives by the machine, None without."""
+        """Residuals of the square loss and their derivatives by the machine, None without it."""
         plain = self.compiled and self._square and self.prior is None
         taped = self._taped if plain else None
         return None if taped is None else taped.rows_of(taped.X, taped.y)
 
     @cached_property
     def prior(self) -> PriorResiduals | None:
-        """The residuals of the parameters that have a prior, None without any."""
+        """Residuals of the parameters that have a prior, None if none has."""
         free = any(parameter.prior is not None for parameter in self.space.parameters)
         if not free and not self.tied_priors:
             return None
@@ -257,31 +293,31 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def residual_count(self) -> int:
-        """How many residuals there are: the rows of data, and those of priors."""
+        """Number of residuals: the rows of the data and the residuals of priors."""
         return len(self.dataset) + (0 if self.prior is None else len(self.prior.parameters))
 
     @property
     def _all_rows(self) -> bool:
-        """Whether a loss needs every row: of a model with a memory, and beside priors."""
+        """Whether a loss needs every row, as for a model with memory, and with priors."""
         return self.model.ordered or self.prior is not None
 
     @cached_property
     def _order(self) -> NDArray[np.intp]:
-        """The fixed order of the rows of which a fidelity takes the first ones."""
+        """Fixed order of the rows; a fidelity takes the first of them."""
         return row_order(self.inputs, stream("fidelity", self.dataset.digest))
 
     @property
     def order(self) -> NDArray[np.intp] | None:  # type: ignore[override]
-        """The order in which a fidelity takes the rows."""
+        """Order in which a fidelity takes the rows, None if it takes all."""
         return None if self._all_rows else self._order
 
     def cost(self, fidelity: float) -> float:
-        """The fraction of rows that a fidelity uses; all of them where their order matters."""
+        """Fraction of the rows that a fidelity uses; 1 if the model needs all rows."""
         return self._rows(fidelity) / len(self.dataset)
 
     @property
     def rows(self) -> int | None:  # type: ignore[override]
-        """Rows of the data, if a model may be asked for some of them."""
+        """Number of rows of the data, None if a loss needs all of them."""
         return None if self._all_rows else len(self.dataset)
 
     def _rows(self, fidelity: float) -> int:
@@ -289,47 +325,60 @@ class CurveFit(Remade, LeastSquaresProblem):
         return N if self._all_rows else min(N, math.ceil(fidelity * N * (1 - FRACTION)))
 
     def _part(self, fidelity: float) -> NDArray[np.intp] | None:
-        """The rows that a fidelity uses, None for all."""
+        """Rows that a fidelity uses, None for all."""
         rows = self._rows(fidelity)
         return None if rows == len(self.dataset) else self._order[:rows]
 
     @property
     def jacobian_cost(self) -> int | None:  # type: ignore[override]
-        """The cost of the model's Jacobian, in evaluations."""
+        """Cost of the model's Jacobian, in evaluations."""
         return self.model.jacobian_cost
 
     @property
     def description(self) -> str:
-        """Digests of what the outputs of its models depend on: columns of the data and the models.
+        """Digests of all data and models that determine the model's outputs.
 
-        Bounds, ties, sigma, priors and the loss may change without another output.
+        Bounds, ties, sigma, priors and the loss may change without a change of the outputs.
         """
         return description(self.model, (*self.inputs, self._output))
 
     @property
     def called_as(self) -> list[list[bool | None]]:  # type: ignore[override]
-        """What trial calls have shown of its functions."""
+        """How trial calls have shown that the model's functions are to be called."""
         return tried_calls(self.model)
 
     def called(self, calls: Sequence[Any]) -> CurveFit:
-        """This problem, whose functions are called as `called_as` of the same problem says."""
+        """This problem with its functions called as in `called_as` of the same problem."""
         return self._with(called(self.model, calls)) if calls else self
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
-        """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""
+        """This problem with its model evaluated by workers; itself if the model is arithmetic."""
         return self._with(spread(self.model, evaluations, self.losses_of))
 
     def _with(self, model: Model) -> CurveFit:
-        """This problem with another form of its model, where that is more than arithmetic."""
+        """This problem with another form of its model; itself if the model is arithmetic."""
         if not dear_leaves(self.model):
             return self
-        problem = object.__new__(CurveFit)  # all else that is known of this one stays so
+        problem = object.__new__(CurveFit)  # all other attributes and caches stay valid
         known = {key: value for key, value in vars(self).items() if key not in OF_THE_MODEL}
         vars(problem).update(known, model=model)
         return problem
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
+        """Mean squared error of each configuration (Eq. 5).
+
+        Parameters
+        ----------
+        thetas : ndarray of shape (n, d)
+            Configurations, in the units of the space.
+        fidelity : float, optional
+            Fraction of the rows to use, in (0, 1].
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Losses, in the output's unit squared.
+        """
         columns, output, rows = self._columns, self._target, self._rows(fidelity)
         if self._of_graph is not None and self._square and self.prior is None:
             return self._of_graph.losses(thetas, rows)
@@ -355,31 +404,31 @@ class CurveFit(Remade, LeastSquaresProblem):
         return mean_square(self._with_prior(thetas, self.rho.transform(residuals)))
 
     def losses_of(self, outputs: Array) -> Array:
-        """Mean squared error (n,) of the model's outputs (n, N), priors left out."""
+        """Mean squared errors (n,) of model outputs (n, N), without priors."""
         residuals = outputs if self.weights is None else outputs * self.weights
         return mean_square(self.rho.transform(residuals - self._target))
 
     def _with_prior(self, thetas: Array, residuals: Array) -> Array:
-        """Residuals (n, N) and behind them those of priors."""
+        """Residuals (n, N), followed by the residuals of priors."""
         if self.prior is None:
             return residuals
         return np.hstack([residuals, self.prior.residuals(thetas)])
 
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Model minus data, weighted, (m,)."""
+        """Weighted difference of model and data, (m,), at one configuration (d,)."""
         return np.asarray(self._errors(theta[None], fidelity)[0])
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Model minus data, weighted and transformed by rho, and those of priors, (m,)."""
+        """Residuals (m,) at one configuration (d,), weighted and transformed, with priors last."""
         return np.asarray(self.residual_rows(theta[None], fidelity)[0])
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Residuals (n, m) of parameter rows (n, d), evaluated side by side."""
+        """Residuals (n, m) of several configurations (n, d), evaluated together."""
         errors = self._errors(thetas, fidelity)
         if self._square:
             return self._with_prior(thetas, errors)
         for theta, row in zip(thetas, errors, strict=True):
-            if not np.isfinite(row).all():  # it has no derivatives, or is only begun by workers
+            if not np.isfinite(row).all():  # no derivatives, or still at a worker
                 continue
             while len(self._latest_errors) >= max(1, REMEMBERED // row.size):
                 del self._latest_errors[next(iter(self._latest_errors))]
@@ -400,8 +449,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def _latest_errors(self) -> dict[tuple[bytes, int], Array]:
-        """The latest errors by configuration and number of rows, of each thread on its own; robust
-        derivatives need them."""
+        """Latest errors of this thread by configuration and row count, for robust derivatives."""
         errors: dict[tuple[bytes, int], Array] = vars(self._of_thread).setdefault("errors", {})
         return errors
 
@@ -410,7 +458,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return threading.local()
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Derivatives of the residuals, (m, d)."""
+        """Derivatives of the residuals, (m, d), at one configuration (d,)."""
         part = self._part(fidelity)
         if self._of_graph is None and part is None and self.kernel is not None:
             derivatives = self.kernel.jacobian(theta)
@@ -440,12 +488,12 @@ class CurveFit(Remade, LeastSquaresProblem):
 
 
 def _model(model: object) -> Model:
-    """A model as it is, and a function made into one."""
+    """Return a model unchanged, and a function as a model."""
     if callable(model) and not isinstance(model, type | Model):
         model = FunctionModel(model)
     if isinstance(model, Model):
         return model
     raise ValueError(
-        f"the model is {model!r}; expected an object of a model class, such as Pacejka(), or a "
-        'function such as: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'
+        f"the model is {model!r}; expected an instance of a model class, for example Pacejka(), or "
+        'a function, for example: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'
     )

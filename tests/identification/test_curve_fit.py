@@ -282,7 +282,7 @@ def test_a_function_is_a_model() -> None:
     assert fit.loss(np.array([[2.0, 1.5]]))[0] <= 1e-31
     for wrong, message in (
         (lambda t, a, b: a, "has 3 input columns and 0 parameters; expected at least one of each"),
-        (Pacejka, "expected an object of a model class"),
+        (Pacejka, "expected an instance of a model class"),
         ("decay", "the model is 'decay'; expected"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
