@@ -1,4 +1,4 @@
-"""Search: what is searched, who searches, and the metered door between them."""
+"""Optimisation: problems, methods, and the oracle that evaluates and counts."""
 
 from miho.optim.asynchronous_miho import AsynchronousMIHO
 from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN

@@ -1,25 +1,31 @@
-"""When the ends of several descents are evidence enough that the best of them is the optimum.
+"""Stopping rule: when the ends of several descents are evidence for the global optimum.
 
-Methods that make several descents stop by this rule, and a report relies on a result by it. A
-descent is that of a start of its own; or, of methods with brackets of successive halving, what a
-bracket kept to its last, the best of several starts. Brackets are independent but for the minima
-known so far: one that is on its way to such a minimum ends there.
+Methods with several descents stop by this rule, and a report trusts a result by it. A descent
+starts from one point; in methods with brackets of successive halving, it is the last candidate of
+a bracket, the best of several starts. Brackets are independent except for the known minima: a
+bracket on its way to one of them ends there.
 
-n descents from starts of their own have ended in w different optima. Boender and Rinnooy Kan
-(Mathematical Programming 37, 1987) take this for a sample of unknown cells with unknown shares, no
-number and no share of which is likelier than another beforehand. The share of starts that lead to
-optima in which none of the n has ended is then expected to be w (w + 1) / (n (n - 1)). Where the
-order in which optima are met says nothing of their loss, a new one is the best of w + 1 with the
-probability 1 / (w + 1); where better ones are met sooner, as is to be hoped, with less. So one more
-descent ends in a better optimum with a probability of about w / (n (n - 1)), which has to be small;
-and the best optimum must have been come back to, in number and in share of all.
+Suppose n descents from separate starts have ended in w different optima. Boender and Rinnooy Kan
+[1]_ treat this as a sample from an unknown number of cells with unknown shares, all equally likely
+beforehand. The expected share of starts that lead to unseen optima is then w (w + 1) / (n (n - 1)).
+If the order in which optima are met does not depend on their loss, a new one is the best of w + 1
+with probability 1 / (w + 1); usually better optima are met sooner, and the probability is smaller.
+So one more descent ends in a better optimum with a probability of about w / (n (n - 1)), which must
+be small. In addition, descents must have returned to the best optimum, in number and as a share.
 
-R's gslnls stops, after Hickernell and Yuan (OR Transactions 1, 1997), by a count: more than
-r + sqrt(r) NSP starts without an improvement, after NSP improvements (r = 4). It does not ask
-where they ended. Eight starts that end in eight places, the first of them in the best, stop it, and
-nothing was come back to; here they are not enough. Where all agree, 7 starts are enough here and 8
-there. And a share of starts can be told in a report; a count since the last
-improvement says less, the earlier that was.
+The R package gslnls follows Hickernell and Yuan [2]_ and stops by a count: after more than
+r + sqrt(r) NSP starts without an improvement, after NSP improvements (r = 4). It ignores where
+descents end. Eight starts that end in eight places, the first in the best, satisfy it without any
+return to the optimum; they do not satisfy the rule here. If all descents agree, 7 starts are
+enough here and 8 there. A share of starts is also easier to report than a count since the last
+improvement, which says less the earlier the improvement was.
+
+References
+----------
+.. [1] C. G. E. Boender, A. H. G. Rinnooy Kan, "Bayesian stopping rules for multistart global
+   optimization methods", Mathematical Programming 37 (1987) 59-80.
+.. [2] F. J. Hickernell, Y. Yuan, "A simple multistart algorithm for global optimization", OR
+   Transactions 1 (1997) 1-11.
 """
 
 from __future__ import annotations
@@ -29,24 +35,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 AGREEING = 1e-4
-"""Descents whose losses differ by less than this fraction ended in one optimum: solvers leave far
-less (1e-10 is their usual tolerance), and different optima lie further apart."""
+"""Descents whose losses differ by less than this fraction ended in one optimum. Solvers leave far
+smaller differences (their usual tolerance is 1e-10), and different optima differ by more."""
 ENOUGH, SHARE = 5, 0.25
-"""So many descents, and this share of all, end in the best optimum where it is relied on. One that
-is as easy to reach, but better, would have been missed by all n with a probability of about
-(1 - 5 / n)^n, at most 1 % (of five, which all ended in one of two, 2^-5 = 3 %); and where the best
-is rare, a better one that is rarer is likely."""
+"""At least this number of descents, and this share of all, must end in a trusted optimum. A better
+optimum that is equally easy to reach would have been missed by all n with a probability of about (1
+- 5 / n)^n, at most 1 % (with five descents that all ended in one of two optima, 2^-5 = 3 %). If the
+best optimum is rare, a better and rarer one is likely."""
 BETTER = 0.025
-"""One more descent is to end in a better optimum with this probability at most."""
+"""Largest acceptable probability that one more descent ends in a better optimum."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How the ends of `finished` descents agree.
+    """Agreement of the ends of `finished` descents on an optimum.
 
-    `best` is the loss of the optimum in question, math.inf if there is none; `agreeing` descents
-    ended in it, and all together in `optima` different ones at most. `unseen` is the probability
-    that one more ends in an optimum that none has ended in, 1 if nothing is known of it.
+    Attributes
+    ----------
+    best : float
+        Loss of the optimum; math.inf if there is none.
+    agreeing : int
+        Descents that ended in it.
+    finished : int
+        All descents that ended.
+    optima : int
+        Largest possible number of different optima among their ends.
+    unseen : float
+        Probability that one more descent ends in an unseen optimum; 1 if unknown.
     """
 
     best: float
@@ -57,17 +72,17 @@ class Agreement:
 
     @property
     def returned(self) -> bool:
-        """Whether descents came back to the optimum often enough."""
+        """Whether enough descents returned to the optimum."""
         return self.agreeing >= max(ENOUGH, SHARE * self.finished)
 
     @property
     def enough(self) -> bool:
-        """Whether the optimum may be relied on, and a search for a better one may stop."""
+        """Whether the optimum can be trusted, so that a search may stop."""
         return self.returned and self.better <= BETTER
 
     @property
     def better(self) -> float:
-        """The probability that one more descent ends in an optimum that is better, not seen yet."""
+        """Probability that one more descent ends in a better, unseen optimum."""
         return self.unseen / (self.optima + 1)
 
 
@@ -79,14 +94,36 @@ def agreement(
     finished: int | None = None,
     dropped: int = 0,
 ) -> Agreement:
-    """How the losses at which descents ended agree.
+    """Agreement of the losses at which descents ended.
 
-    Losses are one optimum where they differ by less than AGREEING of the smaller one, or by less
-    than `rounding`, which the problem does not resolve (`Problem.resolution`): without it no two
-    descents on data without noise would agree. `best` is the loss of the optimum in question, that
-    of the best end unless it is known from elsewhere. `finished` is the number of descents where
-    `ends` are only the best of them. `dropped` of them ended where nobody knows their loss, but
-    that it is none of the best: each in an optimum of its own, as far as is known.
+    Two losses belong to one optimum if they differ by less than AGREEING of the smaller one, or by
+    less than `rounding`. Without `rounding`, descents on data without noise would never agree.
+
+    Parameters
+    ----------
+    ends : sequence of float
+        Losses at the ends of descents.
+    rounding : float, optional
+        Difference that the problem does not resolve (`Problem.resolution`).
+    best : float, optional
+        Loss of the optimum in question; by default the best end.
+    finished : int, optional
+        Number of descents, if `ends` has the best of them only.
+    dropped : int, optional
+        Further descents that ended at unknown losses, none of them the best; each counts as a
+        different optimum.
+
+    Returns
+    -------
+    Agreement
+        The agreement on `best`.
+
+    Examples
+    --------
+    >>> from miho.optim import agreement
+    >>> seen = agreement([1.0] * 7)
+    >>> seen.enough, round(seen.better, 3)
+    (True, 0.024)
     """
     finished = len(ends) + dropped if finished is None else finished
     best = min(ends, default=math.inf) if best is None else best
@@ -103,13 +140,13 @@ def agreement(
 
 
 def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:
-    """Whether a descent that ended at a loss is in the optimum of a loss that is not larger.
+    """Whether a descent that ended at loss `end` is in the optimum of a loss, at most as large.
 
-    It is unless its loss is above that by more than solvers leave (AGREEING) and rounding does.
+    The difference may be up to the tolerance of solvers (AGREEING) plus rounding.
     """
     return bool(end <= highest_in_optimum(best, rounding))
 
 
 def highest_in_optimum(best: float, rounding: float = 0.0) -> float:
-    """The largest loss of a descent that ended in the optimum of this loss."""
+    """Largest loss of a descent that ended in the optimum of this loss."""
     return best + AGREEING * abs(best) + rounding

@@ -1,4 +1,4 @@
-"""What a run may spend, what it has spent and seen, and the exceptions that end it."""
+"""Budget, evaluation counts and best loss of a run, and the exceptions that end it."""
 
 from __future__ import annotations
 
@@ -17,33 +17,50 @@ from miho.quantities import Array
 from miho.validate import positive, whole
 
 REASONS = 20
-"""Reasons for rejected values that are counted one by one."""
+"""Largest number of reasons for rejected values that are counted separately."""
 FIRST = "; first at "
-"""What stands between the reason for a rejected value and its first configuration."""
+"""Separator of the reason for a rejected value and its first configuration."""
 NUMBER = re.compile(
     r"(?<!\.py:)(?<!\w)(?:0x[0-9a-f]+|[-+]?(?:\d[\d_]*(?:\.\d*)*|\.\d+)(?:[eE][-+]?\d+)?)"
 )
-"""A number in a reason, which may vary: not one in a name, such as x1, and not that of a line."""
+"""A number in a reason; not part of a name, for example x1, and not a line number."""
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
-    """Raised by the oracle when its budget is spent or its target is reached."""
+    """Raised by the oracle when its budget is used up or its target is reached."""
 
 
 class RunInterrupted(KeyboardInterrupt):
-    """Raised by the oracle between two evaluations after Ctrl-C: the state is whole."""
+    """Raised by the oracle between two evaluations after Ctrl-C, where the state can be resumed."""
 
 
 class UnusableValueError(ValueError):
-    """Raised by the oracle where residuals or derivatives cannot be computed."""
+    """Raised by the oracle if residuals or derivatives cannot be computed."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What one run may spend; a limit of None does not bind.
+    """Limits of one run; None means no limit.
 
-    `evaluations` is exact: not one more is made. `seconds` of the method's clock are checked
-    after every chunk of about 20 ms. A run also ends at a loss of `target` or below.
+    Parameters
+    ----------
+    evaluations : int, optional
+        Largest number of full evaluations, which is never exceeded.
+    seconds : float, optional
+        Longest time on the clock of the method, in seconds; checked about every 20 ms.
+    target : float, optional
+        A run ends when its loss is at most this.
+
+    Raises
+    ------
+    ValueError
+        If a limit is not positive, or the target is not finite.
+
+    Examples
+    --------
+    >>> import miho
+    >>> miho.Budget(evaluations=1000, seconds=60)
+    Budget(evaluations=1000, seconds=60, target=None)
     """
 
     evaluations: int | None = None
@@ -60,10 +77,10 @@ class Budget:
 
 
 class Provisional(NamedTuple):
-    """The best configuration `theta` (d,) while none was looked at on all rows of data.
+    """Best configuration `theta` (d,) of a run that has evaluated none on all rows of the data.
 
-    `cost` is the share of the rows that it was looked at on, in evaluations, and `loss` that over
-    these rows. More rows are better than fewer, whatever the loss over them.
+    `cost` is the share of the rows that were used, in evaluations, and `loss` the loss over them.
+    More rows are better than fewer, whatever the loss.
     """
 
     cost: float
@@ -73,10 +90,10 @@ class Provisional(NamedTuple):
 
 @dataclass
 class Arrivals:
-    """In which order the evaluations of a run were there, as far as a method asked for it.
+    """Order in which the evaluations of a run arrived, as far as the method depended on it.
 
-    After `alone` evaluations, made one at a time, so many `workers` made them, 0 as long as they do
-    not. `positions` are the answers of `Oracle.first_ready` where there was a choice.
+    After `alone` evaluations one at a time, `workers` made them (0 until then). `positions` are the
+    results of `Oracle.first_ready` with a choice.
     """
 
     workers: int = 0
@@ -86,14 +103,13 @@ class Arrivals:
 
 @dataclass
 class Meter:
-    """What a run has spent and seen; with the method's state, all that a resumed run needs.
+    """Counts and results of a run; with the state of the method, all that a resumed run needs.
 
-    `unfinished` holds the losses of a batch that was cut off: the same batch, evaluated again, goes
-    on after them. `rejected` counts the values that could not be used, by reason. `outside` counts
-    configurations outside of the space's box: their values are used, but a method is to stay in it.
-    `starts` are those of a method that descends from several. `arrivals` are those by which a
-    method decided that works asynchronously. `provisional` is the best configuration on fewer rows
-    than all, noted until one is looked at on all of them.
+    `unfinished` has the losses of an interrupted batch: a second evaluation of the batch continues
+    after them. `rejected` counts unusable values by reason. `outside` counts configurations outside
+    the bounds of the space: their values are used, but a method should not propose them. `starts`
+    records the descents of the run, `arrivals` the order of evaluations in an asynchronous method,
+    and `provisional` the best configuration on fewer rows until one is evaluated on all rows.
     """
 
     evaluations: float = 0
@@ -109,17 +125,17 @@ class Meter:
     provisional: Provisional | None = None
 
     def note(self, cost: float, losses: Array, thetas: Array) -> None:
-        """Note the best of some configurations (n, d) if none is known on as many rows or more."""
+        """Record the best of some configurations (n, d), unless one is known on as many rows."""
         k = int(np.argmin(losses))
         known, loss = self.provisional, float(losses[k])
         if math.isfinite(loss) and (known is None or (cost, -loss) > (known.cost, -known.loss)):
             self.provisional = Provisional(cost, loss, np.array(thetas[k], dtype=float))
 
     def reject(self, reason: str, count: int = 1, at: str = "") -> None:
-        """Count values that cannot be used, by reason; beyond REASONS of them, together.
+        """Count unusable values by reason; beyond REASONS different reasons, others count together.
 
-        Reasons that differ in numbers only are one. `at` is the configuration, which stands behind
-        the reason where it is the first one.
+        Reasons that differ in numbers only count as one. The first configuration of a reason, `at`,
+        is added to it.
         """
         kind = NUMBER.sub("#", reason)
         known = [k for k in self.rejected if NUMBER.sub("#", k.split(FIRST)[0]) == kind]
@@ -131,7 +147,7 @@ class Meter:
 
 @dataclass(frozen=True)
 class Clock:
-    """Seconds of wall and of CPU time, each monotone."""
+    """Wall and CPU time in seconds, each monotone."""
 
     wall: Callable[[], float] = time.perf_counter
     cpu: Callable[[], float] = time.process_time

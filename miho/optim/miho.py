@@ -1,4 +1,4 @@
-"""MIHO: Hyperband whose evaluations mutate what they evaluate (Alg. 1)."""
+"""MIHO: Hyperband whose evaluations mutate their configurations (Alg. 1)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from miho.quantities import Array
 
 @dataclass
 class MIHOState:
-    """Where Alg. 1 stands: P (n, d) in search coordinates with losses L (n,) on rung `position`.
+    """State of Alg. 1: configurations P (n, d) in search coordinates with losses L (n,).
 
-    `step` counts the mutations made on this rung, -1 while fresh configurations are evaluated;
-    `sigma` (mutations, d) anneals over them. `batch` (n, d) is being evaluated, its first `row`
-    rows are already.
+    `position` is the rung in `table`. `step` counts the mutations on this rung, -1 while fresh
+    configurations are evaluated; `sigma` (mutations, d) anneals over them. `batch` (n, d) is being
+    evaluated; its first `row` rows are done.
     """
 
     space: Space
@@ -39,27 +39,62 @@ class MIHOState:
 
     @property
     def rung(self) -> Rung:
-        """The rung in progress."""
+        """The current rung."""
         return self.table[self.position]
 
 
 @dataclass(frozen=True)
 class MIHO(MIHOSettings, Resumable[MIHOState]):
-    """Alg. 1 with the settings it leaves open; the defaults are the paper as printed.
+    """MIHO as published (Alg. 1): Hyperband over configurations that mutate.
 
-    A fresh configuration costs one evaluation before its mutations; a survivor's loss is known and
-    not paid for again. All configurations of a rung are mutated side by side, so a batch is one
-    mutation of each. Ends by itself after the last bracket.
+    The default settings follow the paper as printed. A fresh configuration costs one evaluation
+    before its mutations; the loss of a survivor is known and costs nothing. All configurations of a
+    rung mutate together: a batch has one mutation of each. The search ends after the last bracket.
+    For new problems prefer `MIHOGN`, which needs far fewer evaluations.
 
-    `early_stopping` gives a mutant up as soon as its loss cannot be below its parent's, where the
-    problem has a compiled loss; it changes no decision, but what the rest of its loss would have
-    been, NaN included, is then not seen.
+    Parameters
+    ----------
+    R : int, optional
+        Largest number of mutations of one configuration on a rung (Alg. 1).
+    eta : int, optional
+        One configuration in `eta` continues on the next rung (Alg. 1, η).
+    rounding : {"ceil", "floor"}, optional
+        Rounding of s_max = log_eta(R) (Alg. 1, line 1); "floor" is Hyperband's.
+    sampling : {"normal", "uniform_plus_noise", "uniform"}, optional
+        Distribution of fresh configurations (line 4), see `Space.sample`.
+    annealing : {"linear", "exponential"}, optional
+        Decrease of sigma over the mutations of a rung (Eq. 2).
+    clip : {"box", "lower", "none"}, optional
+        Whether mutants are clipped to both bounds, to the lower bounds, or not at all.
+    proposal : {"mutation", "fresh"}, optional
+        Competitor of a configuration: its mutation, or a fresh draw, which shows the benefit of
+        mutation.
+    early_stopping : bool, optional
+        Whether the compiled loss stops as soon as a mutant cannot be better than its parent. It
+        changes no decision, but hides values in the rest of the loss, NaN included.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not possible.
+
+    Examples
+    --------
+    >>> import miho
+    >>> class Bowl(miho.Problem):
+    ...     name = "bowl"
+    ...     space = miho.Space((miho.Parameter("a", "m", -5, 5), miho.Parameter("b", "m", -5, 5)))
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return ((thetas - [1, 2]) ** 2).sum(axis=1)
+    >>> record = miho.minimize(miho.MIHO(R=100, eta=3), Bowl())
+    >>> record.loss < 0.01
+    True
     """
 
     early_stopping: bool = True
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOState:
-        """The first bracket's configurations are the common initial ones."""
+        """State before the first bracket, whose configurations are the common initial ones."""
         space, table = oracle.space, self.table()
         P = self.initial(space, table[0].n)
         return MIHOState(
@@ -75,7 +110,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
         )
 
     def step(self, state: MIHOState, oracle: Oracle) -> None:
-        """A batch; or the next steps of this rung, or rows of one, in one compiled block."""
+        """Evaluate one batch, or make the next steps of this rung in one compiled block."""
         climb = None
         if state.step >= 0 and self.proposal == "mutation":
             climb = climb_of(oracle)
@@ -101,7 +136,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
     def _climb(
         self, climb: Climb, state: MIHOState, most: float, best: float, target: float
     ) -> Block:
-        """At most `most` evaluations in compiled code: whole steps of all rows, or one of some."""
+        """Make at most `most` evaluations in compiled code: whole steps, or one of some rows."""
         evaluations, n = int(most), len(state.P)
         whole = evaluations >= n and state.row == 0
         count = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
@@ -121,7 +156,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
         return block
 
     def _count(self, state: MIHOState, steps: int) -> None:
-        """Count steps as done and prepare the next batch."""
+        """Count completed steps and prepare the next batch."""
         state.step += steps
         while state.step == state.rung.mutations:
             if not self._advance(state):
@@ -131,11 +166,11 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
             state.batch = self.proposals(state.P, sigma, state.space, state.rng)
 
     def done(self, state: MIHOState) -> bool:
-        """After the last rung of the bracket s = 0."""
+        """Whether the last rung of the bracket s = 0 is complete."""
         return state.position == len(state.table)
 
     def _advance(self, state: MIHOState) -> bool:
-        """Go to the next rung, with the best of this one (line 8) or a fresh bracket (line 4)."""
+        """Move to the next rung with the best of this one (line 8), or to a bracket (line 4)."""
         state.position += 1
         if self.done(state):
             return False

@@ -1,4 +1,4 @@
-"""The settings that Alg. 1 leaves open, and how configurations are drawn and mutated by them."""
+"""Settings that Alg. 1 leaves open, and the draws and mutations that follow from them."""
 
 from __future__ import annotations
 
@@ -17,15 +17,7 @@ PROPOSALS = ("mutation", "fresh")
 
 @dataclass(frozen=True)
 class MIHOSettings:
-    """What MIHO has in common, whether its configurations go on side by side or as they come.
-
-    R is the largest number of mutations one configuration gets on a rung, eta the proportion kept
-    (one in eta). `rounding` is that of s_max; `sampling` that of fresh configurations; `annealing`
-    that of sigma, over the mutations of a rung; `clip` keeps mutants in the box, above its lower
-    bounds, or not at all ("none"). `proposal` is what a configuration is compared with: a mutation
-    of itself, or, to see what mutation is worth, a fresh draw from the initial distribution in its
-    place.
-    """
+    """Settings of `MIHO` and `AsynchronousMIHO`; see `MIHO`."""
 
     R: int = 10_000
     eta: int = 5
@@ -55,11 +47,11 @@ class MIHOSettings:
         return hyperband_table(self.R, self.eta, self.rounding)
 
     def initial(self, space: Space, n: int) -> Array:
-        """The first of the common initial configurations (n, d), in search coordinates."""
+        """First common initial configurations (n, d), in search coordinates."""
         return self._clipped(space.initial(n, self.sampling), space)
 
     def fresh(self, space: Space, n: int, rng: np.random.Generator) -> Array:
-        """Configurations (n, d) drawn in search coordinates."""
+        """Draw configurations (n, d), in search coordinates."""
         return self._clipped(space.sample(n, rng, self.sampling), space)
 
     def sigma(self, space: Space, mutations: int) -> Array:
@@ -67,12 +59,12 @@ class MIHOSettings:
         return annealed_sigma(space, mutations, self.annealing)
 
     def proposals(self, P: Array, sigma: Array, space: Space, rng: np.random.Generator) -> Array:
-        """What configurations P (n, d) are compared with next, in search coordinates."""
+        """Next competitors of configurations P (n, d), in search coordinates."""
         if self.proposal == "mutation":
             return mutate(P, sigma, space, rng, self.clip)
         return self.fresh(space, len(P), rng)
 
     def _clipped(self, P: Array, space: Space) -> Array:
-        """P (n, d) clipped as `clip` says, in search coordinates."""
+        """P (n, d) within the limits of `clip`, in search coordinates."""
         low, high = limits(space, self.clip)
         return np.asarray(np.minimum(np.maximum(P, low), high))

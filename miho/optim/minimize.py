@@ -1,4 +1,4 @@
-"""Run one method on one problem within one budget, and say how it ended."""
+"""Run one method on one problem within one budget, and record the result."""
 
 from __future__ import annotations
 
@@ -33,10 +33,12 @@ from miho.quantities import Array
 
 
 class Outcome(StrEnum):
-    """How a run ended: by its budget or target, by itself, or otherwise.
+    """How a run ended.
 
-    By itself it has `converged`, or made the largest number of `brackets` without evidence enough
-    that its best optimum is the best of all.
+    `BUDGET`: at its budget or target. `CONVERGED`: by itself, with enough evidence for its best
+    optimum if it is a method of brackets. `BRACKETS`: after its largest number of brackets, without
+    this evidence. `NO_FINITE_VALUE`: no loss was finite. `FAILED`: the method raised, or no worker
+    was left. `INTERRUPTED`: Ctrl-C.
     """
 
     BUDGET = "budget"
@@ -49,7 +51,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A run at one moment between two evaluations: pickle it, and resume bit-exactly."""
+    """A run between two evaluations; pickle it, and resume it bit-exactly with `minimize`."""
 
     optimizer: Optimizer
     problem: str
@@ -60,19 +62,37 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What one run found, and what it spent.
+    """Result of one run.
 
-    `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
-    `seconds` is the method's clock; imports and traced formulas are in `setup_seconds`.
-    `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
-    the line of the method's file at its end, or one line where all workers are gone.
-    `outside` counts evaluations outside of the box, in compiled blocks only those that improve.
-    `descents` says where those of a method that makes several ended, None of any other.
-    `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
-    an interrupt that struck in the middle of a step. `usage` says how workers were used, None
-    without workers and journal; `arrivals` in which order a method took their evaluations that
-    works asynchronously, None with one worker. `provisional` (d,) is the best configuration on
-    fewer rows of data than all, None where one was looked at on all of them.
+    Attributes
+    ----------
+    outcome : Outcome
+        How the run ended.
+    theta : ndarray of shape (d,) or None
+        Best configuration, in units; None if no loss was finite.
+    loss : float
+        Its loss; math.inf if no loss was finite.
+    evaluations, seconds, cpu_seconds, setup_seconds : float
+        Evaluations used, wall and CPU time of the method, and time for imports and traced formulas.
+    trace : Trace
+        The improvements of the run.
+    rejected : mapping of str to int
+        Unusable values by reason.
+    error : str, optional
+        Traceback of a failed run, with the line of the method's file at the end, or one line if no
+        worker was left.
+    checkpoint : Checkpoint, optional
+        Resumes a `Resumable` method; None after an interrupt in the middle of a step.
+    outside : int
+        Evaluations outside the bounds; of compiled blocks, improvements only.
+    descents : Descents, optional
+        Summary of the descents of a method that makes several.
+    usage : Usage, optional
+        Use of the workers; None without workers and journal.
+    arrivals : Arrivals, optional
+        Order of evaluations in an asynchronous method; None with one worker.
+    provisional : ndarray of shape (d,), optional
+        Best configuration on fewer than all rows of the data, if none was evaluated on all of them.
     """
 
     outcome: Outcome
@@ -106,30 +126,69 @@ def minimize(
     journal: JournalFile = None,
     replay: Arrivals | None = None,
 ) -> RunRecord:
-    """Minimise the problem's loss; always returns a record, whatever model or method did.
+    """Minimise the loss of a problem with one method; always returns a record.
 
-    `seed` is the repetition: (problem, seed) fixes the common initial configurations, the
-    method's name is mixed in only for its own stream. A `checkpoint` of the same optimizer,
-    problem and seed is continued under the new, larger budget. `observer` is called with the
-    oracle about ten times a second, off the method's clock, to show progress. What is imported or
-    traced at its first use is so before the clock starts. The first Ctrl-C ends the run as
-    `interrupted` after the evaluation in progress, the second at once.
+    Errors of the model or of the method end up in the record. The first Ctrl-C ends the run after
+    the current evaluation, as `Outcome.INTERRUPTED`; the second ends it at once.
 
-    `workers` make the evaluations of a problem where each takes long: a number of processes, -1
-    for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
-    a cluster (`miho.parallel.pool`). The result does not depend on them, but that of asynchronous
-    methods. A value that takes longer than `evaluation_limit` seconds is given up, and so is one
-    whose worker dies three times; a run whose workers are all gone has failed, and keeps what it
-    found. A `journal` is a file in which every evaluation stands that takes longer than some 10 ms:
-    the same run, called again after it was cut off, makes only a few of them again, to compare the
-    model; JournalError is raised for another problem and for one whose values have changed. Where
-    the decisions of a method depend on which evaluation was there first, `replay`, the `arrivals`
-    of another run of it, has it make the same
-    ones, with any workers.
+    Parameters
+    ----------
+    optimizer : Optimizer
+        The method.
+    problem : Problem
+        The problem, without fixed and tied parameters (a `CurveFit` removes them).
+    budget : Budget, optional
+        Limits of the run; none by default.
+    seed : int, optional
+        The repetition. Problem and seed determine the common initial configurations; the random
+        stream of the method also depends on its name.
+    checkpoint : Checkpoint, optional
+        Continue this run of the same optimizer, problem and seed, under the new budget.
+    observer : callable, optional
+        Called with the oracle about ten times a second, off the clock of the method, to show
+        progress.
+    workers : int, str, executor or callable, optional
+        Workers for expensive problems: a number of processes (-1 for one per core), an executor of
+        `concurrent.futures`, a callable like `map`, or the address of a cluster
+        (`miho.parallel.pool`). The result does not depend on them, except for asynchronous methods.
+    evaluation_limit : float, optional
+        Longest time of an evaluation, in seconds. A longer one has no value, nor has an evaluation
+        whose worker dies three times.
+    journal : path, optional
+        File that stores every evaluation longer than about 10 ms. The same run, called again after
+        an interruption, reuses them and repeats only a few, to check the model.
+    replay : Arrivals, optional
+        `arrivals` of an earlier run of an asynchronous method, to repeat its decisions with any
+        workers.
+
+    Returns
+    -------
+    RunRecord
+        Best configuration, evaluations used, and how the run ended. A run without workers left has
+        failed, and keeps its best.
+
+    Raises
+    ------
+    ValueError
+        If problem, method and checkpoint do not fit together.
+    JournalError
+        If the journal belongs to another problem, or if its values have changed.
+
+    Examples
+    --------
+    >>> import miho
+    >>> class Bowl(miho.Problem):
+    ...     name = "bowl"
+    ...     space = miho.Space((miho.Parameter("a", "m", -5, 5), miho.Parameter("b", "m", -5, 5)))
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return ((thetas - [1, 2]) ** 2).sum(axis=1)
+    >>> record = miho.minimize(miho.MIHOQN(), Bowl(), miho.Budget(evaluations=2000))
+    >>> str(record.outcome), record.theta.round(4)
+    ('converged', array([1., 2.]))
     """
     if problem.space.free is not problem.space:
         raise ValueError(
-            f"{problem.name}: fixed and tied parameters need a CurveFit; leave them out"
+            f"{problem.name}: expected free parameters only; use a CurveFit for fixed and tied ones"
         )
     if checkpoint is not None:
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)
@@ -173,9 +232,9 @@ def minimize(
 def _search(
     optimizer: Optimizer, oracle: Oracle, checkpoint: Checkpoint | None, run: tuple[str, int]
 ) -> tuple[Outcome, str | None]:
-    """Run or resume the method; what ended it, and the traceback if it failed.
+    """Run or resume the method; returns the outcome, and the traceback if it failed.
 
-    `run` is the problem's name and the seed. `oracle.state` is None where it cannot be resumed.
+    `run` is the problem's name and the seed. `oracle.state` is None if it cannot be resumed.
     """
     error = None
     try:
@@ -191,7 +250,7 @@ def _search(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
-    except StaleJournalError:  # nothing was found that anybody could use
+    except StaleJournalError:  # there is no usable result
         raise
     except NoWorkersLeft as reason:  # at an evaluation, so the state is whole
         outcome, error = Outcome.FAILED, f"{reason}\n"
@@ -202,7 +261,7 @@ def _search(
 
 
 def _final(outcome: Outcome, oracle: Oracle) -> Outcome:
-    """The outcome in the light of what was found: brackets used up, target reached, or nothing."""
+    """Outcome corrected for exhausted brackets, a reached target, or no finite value."""
     best, target = oracle.best, oracle.budget.target
     if outcome is Outcome.CONVERGED and oracle.meter.starts.exhausted:
         outcome = Outcome.BRACKETS
@@ -215,7 +274,7 @@ def _final(outcome: Outcome, oracle: Oracle) -> Outcome:
 
 
 def raised_at(error: BaseException, optimizer: Optimizer) -> str:
-    """File and line of what a method raised: the last line of its own file, else the last of all.
+    """File and line where a method raised: the last line in its file, else the last of all.
 
     The last line of all may be deep in a library that the method calls.
     """
@@ -228,27 +287,26 @@ def raised_at(error: BaseException, optimizer: Optimizer) -> str:
 def _resumable(
     checkpoint: Checkpoint, optimizer: Optimizer, problem: Problem, seed: int
 ) -> Checkpoint:
-    """A copy that the resumed run may change, if it is a checkpoint of this very run."""
+    """Copy of a checkpoint for the resumed run; raises ValueError if it belongs to another run."""
     if not isinstance(optimizer, Resumable):
         raise ValueError(
-            f"{type(optimizer).__name__} cannot be resumed; only Resumable methods can"
+            f"{type(optimizer).__name__} cannot be resumed; expected a Resumable method"
         )
     run = (optimizer, problem.name, seed)
     origin = (checkpoint.optimizer, checkpoint.problem, checkpoint.seed)
     if run != origin:
-        raise ValueError(f"the checkpoint is of {origin}, not of {run}; resume the same run")
+        raise ValueError(f"checkpoint: expected a run of {run}, got {origin}; resume the same run")
     return copy.deepcopy(checkpoint)
 
 
 @contextlib.contextmanager
 def _ctrl_c_waits(on_first: Callable[[], object]) -> Iterator[None]:
-    """The first Ctrl-C calls `on_first` and raises nothing; the second raises KeyboardInterrupt.
+    """Call `on_first` at the first Ctrl-C without raising; raise KeyboardInterrupt at the second.
 
-    So a run ends at an evaluation, where the method's state is whole, and not anywhere: in a
-    callback of a library what is raised could be lost.
-
-    Only in the main thread and where nobody else handles the signal. There a KeyboardInterrupt
-    without a Ctrl-C comes from the model or the method, and becomes a RuntimeError.
+    A run then ends at an evaluation, where the state of the method is complete; an exception raised
+    in a callback of a library could get lost. This applies to the main thread only, and only if no
+    one else handles the signal. A KeyboardInterrupt without Ctrl-C comes from the model or the
+    method and becomes a RuntimeError.
     """
     default = signal.default_int_handler
     if (
@@ -279,14 +337,14 @@ def _ctrl_c_waits(on_first: Callable[[], object]) -> Iterator[None]:
 
 
 def _load(optimizer: Optimizer, problem: Problem) -> None:
-    """Import, trace and check what is used for the first time; nothing of the problem is evaluated.
+    """Import, trace and check everything that is used for the first time, without evaluating.
 
-    What a method, the common start and a fast form of the problem need is so there before the clock
+    This covers the method, the common start and the fast form of the problem, before the clock
     starts.
     """
     for name in optimizer.loads:
         import_module(name)
     problem.space.initial(1)
-    with contextlib.suppress(Exception):  # the run itself will meet and report it
+    with contextlib.suppress(Exception):  # the run will raise and report it
         if problem.kernel is not None:
             _ = problem.kernel.rows

@@ -14,10 +14,10 @@ CLIPS = ("box", "lower", "none")
 
 
 def annealed_sigma(space: Space, mutations: int, annealing: str = "linear") -> Array:
-    """Sigma of each of the `mutations` steps of one evaluation, (mutations, d).
+    """Sigma of each of the `mutations` steps of one evaluation, (mutations, d), by Eq. 2.
 
-    In search coordinates. `linear` goes from sigma_max towards sigma_min, which the step after
-    the last would have; `exponential` halves sigma every quarter of the steps and ignores
+    In search coordinates. "linear" decreases from sigma_max towards sigma_min, which the step after
+    the last would reach. "exponential" halves sigma every quarter of the steps and ignores
     sigma_min, as the authors' public code does.
     """
     sigma_max, sigma_min = space.sigma
@@ -28,7 +28,7 @@ def annealed_sigma(space: Space, mutations: int, annealing: str = "linear") -> A
 
 
 def mutate(P: Array, sigma: Array, space: Space, rng: np.random.Generator, clip: str) -> Array:
-    """p + sigma * epsilon for every row of P (n, d), kept within `limits` of `clip`.
+    """Mutate every row p of P (n, d) to p + sigma * epsilon (Eq. 2), within the limits of `clip`.
 
     In search coordinates; epsilon is standard normal, sigma is (d,).
     """
@@ -42,7 +42,7 @@ def mutate(P: Array, sigma: Array, space: Space, rng: np.random.Generator, clip:
 
 
 def limits(space: Space, clip: str) -> tuple[Array, Array]:
-    """The lowest and highest search coordinates (d,) that `clip` leaves: of a box, or infinite."""
+    """Lower and upper limits of search coordinates (d,) under `clip`, some of them infinite."""
     low, high = space.bounds
     if clip == "none":
         low = np.full(low.shape, -np.inf)
@@ -50,10 +50,10 @@ def limits(space: Space, clip: str) -> tuple[Array, Array]:
 
 
 def climb_of(oracle: Oracle) -> Climb | None:
-    """Compiled steps of mutation, for a problem that has them and a space without log scales.
+    """Compiled mutation steps of the problem; None without them, or with a log scale.
 
-    They move in units, which are the search coordinates there. None while a batch is cut off in the
-    middle: it has to be evaluated to its end.
+    They work in units, which equal search coordinates without log scales. Also None after an
+    interrupted batch, which has to be completed first.
     """
     if oracle.kernel is None or oracle.meter.unfinished:
         return None
@@ -72,25 +72,25 @@ def compiled_steps(
     *,
     early_stopping: bool = True,
 ) -> Block:
-    """Steps of mutation whose noise `rng` draws as `mutate` would, one step after the other.
+    """Make mutation steps with the noise that `mutate` would draw from `rng`, step by step.
 
     Parameters
     ----------
     climb : Climb
         Compiled steps of the problem.
     rows : tuple of ndarray
-        Mutants of the first step (n, d), their parents (n, d) and losses of these (n,), which are
+        Mutants of the first step (n, d), their parents (n, d) and the losses of the parents (n,);
         changed in place.
     sigma : ndarray of shape (steps - 1, d)
         Standard deviations of each step after the first (Eq. 2).
     bounds : tuple of ndarray
-        Lower and upper ends (d,) within which mutants are kept.
+        Lower and upper limits (d,) of mutants.
     rng : numpy.random.Generator
-        Is left as if each step that was made had drawn its own noise.
+        Left in the state that separate draws of each step would leave.
     ends : tuple of float
-        The best loss so far, and the target at which the steps end.
+        Best loss so far, and the target loss that ends the steps.
     early_stopping : bool
-        Whether a mutant that cannot be better than its parent is given up (`Steps`).
+        Whether to stop the loss of a mutant that cannot be better than its parent (`Steps`).
 
     Returns
     -------
@@ -102,7 +102,7 @@ def compiled_steps(
     noise = rng.standard_normal(shape)
     block = climb(Steps(mutants, P, L, noise, sigma, bounds, early_stopping), *ends)
     more = round(block.evaluations) // len(P) - 1
-    if more < len(sigma):  # the target was reached: draw again only what these steps used
+    if more < len(sigma):  # the target was reached: draw only the noise of these steps again
         rng.bit_generator.state = generator
         rng.standard_normal((more, *shape[1:]))
     return block

@@ -1,4 +1,4 @@
-"""The one interface of all methods, and its ask-and-tell form."""
+"""The interface of all methods, and its ask-and-tell form."""
 
 from __future__ import annotations
 
@@ -16,37 +16,47 @@ State = TypeVar("State")
 
 
 class Optimizer(ABC):
-    """A method: a frozen dataclass of its settings, which serves any number of runs.
+    """Abstract base class of a method: a frozen dataclass of settings with one method, `run`.
 
-    `loads` names modules that it imports where it first needs them: `minimize` does so before the
-    clock starts.
+    One instance serves any number of runs. Derive from `AskTell` for a method that needs losses of
+    batches only; it can then be resumed.
+
+    Attributes
+    ----------
+    loads : sequence of str
+        Modules that the method imports at their first use. `minimize` imports them before the clock
+        starts.
     """
 
     loads: ClassVar[Sequence[str]] = ()
 
     @abstractmethod
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Search until the method is done, or the oracle raises BudgetExhausted.
+        """Search until the method is done, or until the oracle raises BudgetExhausted.
 
-        Everything a method learns of the problem comes through `oracle`; all its randomness
-        comes from `rng`, except the common start, `oracle.space.initial(n)`.
+        Parameters
+        ----------
+        oracle : Oracle
+            The only access to the problem: it evaluates, counts and records.
+        rng : numpy.random.Generator
+            The only source of randomness, except for the common start `oracle.space.initial(n)`.
         """
 
 
 class Resumable(Optimizer, Generic[State]):
-    """A method whose state is an object, so that a run can be cut anywhere and goes on bit-exactly.
+    """Abstract base class of a method with a state object; a stopped run resumes bit-exactly.
 
-    The state is picklable and holds the random generator. A step that is cut, because the oracle
-    raises in the middle of it, leaves a state from which it goes on.
+    The state can be pickled and contains the random generator. If the oracle raises in the middle
+    of a step, the state that is left must be one that can be resumed.
     """
 
     @abstractmethod
     def start(self, oracle: Oracle, rng: np.random.Generator) -> State:
-        """The state before the first evaluation; nothing is evaluated here."""
+        """Return the state before the first evaluation, without evaluating."""
 
     @abstractmethod
     def step(self, state: State, oracle: Oracle) -> None:
-        """Evaluate something and move the state on."""
+        """Evaluate, and advance the state."""
 
     @abstractmethod
     def done(self, state: State) -> bool:
@@ -59,37 +69,60 @@ class Resumable(Optimizer, Generic[State]):
 
     @final
     def resume(self, oracle: Oracle, state: State) -> None:
-        """Go on from a state, with an oracle that holds the meter of the same moment."""
+        """Continue from a state, with an oracle whose meter was stored together with it."""
         oracle.state = state
         while not self.done(state):
             self.step(state, oracle)
 
 
 class AskTell(Resumable[State]):
-    """A method that asks for losses of configurations and is told them.
+    """Abstract base class of a method that alternates between `ask` and `tell`.
 
-    `ask` only reads the state: asked twice, it gives the same batch. Every change happens in
-    `tell`.
+    `ask` returns a batch of configurations and does not change the state: a second call returns the
+    same batch. `tell` receives the losses and makes all changes.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import miho
+    >>> @dataclass(frozen=True)
+    ... class Uniform(miho.AskTell[list]):
+    ...     def init(self, space, rng):
+    ...         return [space, rng, space.sample(10, rng, "uniform")]
+    ...     def ask(self, state):
+    ...         return state[0].decode(state[2])
+    ...     def tell(self, state, thetas, losses):
+    ...         state[2] = state[0].sample(10, state[1], "uniform")
+    ...     def done(self, state):
+    ...         return False
+    >>> class Square(miho.Problem):
+    ...     name, space = "square", miho.Space((miho.Parameter("a", "", -1, 1),))
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return thetas[:, 0] ** 2
+    >>> record = miho.minimize(Uniform(), Square(), miho.Budget(evaluations=100))
+    >>> round(record.evaluations), record.loss < 0.01
+    (100, True)
     """
 
     @abstractmethod
     def init(self, space: Space, rng: np.random.Generator) -> State:
-        """The state before the first batch."""
+        """Return the state before the first batch."""
 
     @abstractmethod
     def ask(self, state: State) -> Array:
-        """The next batch in units, (n, d); it must not be modified."""
+        """Return the next batch of configurations in units, (n, d), which must not be modified."""
 
     @abstractmethod
     def tell(self, state: State, thetas: Array, losses: Array) -> None:
-        """Move the state on, given the losses (n,) of the batch; +inf marks unusable values."""
+        """Advance the state, given the losses (n,) of the batch; +inf marks unusable values."""
 
     def fidelity(self, state: State) -> float:
-        """The fidelity of the next batch: the share of the data that is looked at."""
+        """Fidelity of the next batch: the fraction of the data to use."""
         return 1.0
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> State:
-        """The state before the first batch, of a method that needs to know the space only."""
+        """Return the state before the first batch; calls `init`."""
         return self.init(oracle.space, rng)
 
     @final
@@ -98,6 +131,7 @@ class AskTell(Resumable[State]):
         thetas = self.ask(state)
         if not len(thetas):
             raise ValueError(
-                f"{type(self).__name__}.ask gives no configuration, though done is false"
+                f"{type(self).__name__}.ask: expected at least one configuration, got none, while "
+                "done is false; return a batch, or end the search"
             )
         self.tell(state, thetas, oracle(thetas, self.fidelity(state)))

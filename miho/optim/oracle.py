@@ -1,4 +1,4 @@
-"""One run's metered view of a problem: the only door between a method and the loss."""
+"""The oracle: the only access of a method to a problem, which counts and records evaluations."""
 
 from __future__ import annotations
 
@@ -33,20 +33,64 @@ from miho.parallel.usage import Usage
 from miho.quantities import Array
 
 CHUNK_SECONDS = 0.02
-"""Seconds of evaluations between two looks at the clock."""
+"""Seconds of evaluations between two checks of the clock."""
 Kind = Literal["loss", "residuals", "jacobian"]
 NO_LOSS = np.array([math.inf])
 NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
 class Oracle:
-    """Makes every evaluation of one run, within its budget, and has it recorded.
+    """Evaluates a problem for one run: within its budget, and with every evaluation recorded.
 
-    Calling it evaluates a batch in order; an improvement inside a batch is recorded at its own
-    evaluation. Values that are not finite numbers come back as +inf and never become best.
-    `rows` is how many rows of data there are, if a fidelity takes the first of them, else None.
-    `state` is the place where a resumable method leaves its state. Once `interrupted` is set, the
-    run ends with RunInterrupted at its next evaluation.
+    `minimize` creates it and passes it to `Optimizer.run`. A call evaluates a batch in order and
+    returns losses; every improvement is recorded at its evaluation. Values that are not finite are
+    returned as +inf and never become the best.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem to evaluate.
+    budget : Budget
+        Limits of the run.
+    space : Space, optional
+        Space of the run with its common initial configurations; by default the problem's space.
+    meter : Meter, optional
+        Counts of an earlier part of the run, to continue it.
+    observer : callable, optional
+        Called with the oracle about ten times a second, off the clock of the method.
+    clock : Clock, optional
+        Wall and CPU time.
+    evaluations : Evaluations, optional
+        Workers and evaluation log.
+    replay : Arrivals, optional
+        Order of arrivals of an earlier run, to repeat it.
+
+    Attributes
+    ----------
+    rows : int, optional
+        Number of rows of data if a fidelity uses the first of them, else None.
+    state : object
+        State of a resumable method, set by the method.
+    interrupted : bool
+        Once set, the next evaluation raises RunInterrupted.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import miho
+    >>> @dataclass(frozen=True)
+    ... class Grid(miho.Optimizer):
+    ...     n: int = 5
+    ...     def run(self, oracle, rng):
+    ...         low, high = oracle.space.low, oracle.space.high
+    ...         for k in range(self.n):
+    ...             oracle((low + (high - low) * k / (self.n - 1))[None])
+    >>> class Square(miho.Problem):
+    ...     name, space = "square", miho.Space((miho.Parameter("a", "", -1, 1),))
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return thetas[:, 0] ** 2
+    >>> miho.minimize(Grid(), Square()).theta
+    array([0.])
     """
 
     def __init__(
@@ -77,7 +121,7 @@ class Oracle:
         self._deadline = math.inf if budget.seconds is None else budget.seconds
         self._target = -math.inf if budget.target is None else budget.target
         self._descent: Descent | None = None
-        self._recorder = Recorder(  # last of all, since its clock starts here
+        self._recorder = Recorder(  # last, because its clock starts here
             self.meter,
             self.space,
             self._limit,
@@ -88,12 +132,12 @@ class Oracle:
 
     @property
     def evaluations(self) -> float:
-        """Full evaluations so far; at a lower fidelity they count what the problem says."""
+        """Full evaluations so far; at a lower fidelity each counts as the problem's `cost`."""
         return self.meter.evaluations
 
     @property
     def seconds(self) -> float:
-        """Seconds of the method's clock: the run without set-up and recording."""
+        """Seconds on the clock of the method, without set-up and recording."""
         return self._recorder.seconds
 
     @property
@@ -103,26 +147,44 @@ class Oracle:
 
     @property
     def remaining_seconds(self) -> float:
-        """Seconds of the method's clock left, math.inf without a limit."""
+        """Seconds left on the clock of the method, math.inf without a limit."""
         return self._deadline - self.seconds
 
     @property
     def best(self) -> float:
-        """The smallest finite loss so far, math.inf before the first."""
+        """Smallest finite loss so far, math.inf before the first."""
         return self.meter.best
 
     @property
     def linear(self) -> tuple[str, ...]:
-        """The parameters in which the residuals are jointly linear, as the problem declares."""
+        """Parameters in which the residuals are jointly linear, as declared by the problem."""
         return self._values.least_squares.linear
 
     @property
     def trace(self) -> Trace:
-        """The improvements so far."""
+        """Improvements so far."""
         return self.meter.trace
 
     def __call__(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Losses (n,) of rows (n, d) in units; raises BudgetExhausted at the end of the budget."""
+        """Evaluate the losses of a batch of configurations.
+
+        Parameters
+        ----------
+        thetas : ndarray of shape (n, d)
+            Configurations, in the units of the space.
+        fidelity : float, optional
+            Fraction of the data to use, in (0, 1].
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Losses; +inf for unusable values.
+
+        Raises
+        ------
+        BudgetExhausted
+            At the end of the budget.
+        """
         self._check_open()
         if not 0 < fidelity <= 1:
             raise ValueError(f"fidelity is {fidelity!r}; expected a fraction above 0, at most 1")
@@ -154,10 +216,10 @@ class Oracle:
 
     @property
     def workers(self) -> int:
-        """How many evaluations a method may have under way at a time.
+        """Largest number of simultaneous evaluations a method should ask for.
 
-        One, until it is known that each is worth a worker of its own; from then on as many as there
-        are workers, also in a run that is resumed. In a replay as many as in the original.
+        It is 1 until evaluations are known to be expensive enough for one worker each, then the
+        number of workers, also in a resumed run. A replay uses the number of the original run.
         """
         arrivals, replay, evaluations = self.meter.arrivals, self._replay, self._evaluations
         if not arrivals.workers:
@@ -175,24 +237,24 @@ class Oracle:
 
     @property
     def spreads(self) -> bool:
-        """Whether workers make the evaluations of a batch: where it is known that they are dear."""
+        """Whether workers evaluate batches: true once evaluations are known to be expensive."""
         return self._evaluations is not None and self._evaluations.spreads
 
     @property
     def usage(self) -> Usage | None:
-        """How the workers are used, None without any."""
+        """Use of the workers, None without any."""
         return None if self._evaluations is None else self._evaluations.usage
 
     @property
     def busy(self) -> int:
-        """How many workers have something to do."""
+        """Number of busy workers."""
         return 0 if self._evaluations is None else self._evaluations.busy
 
     def ahead(self, thetas: Array, fidelity: float = 1.0, kind: Kind = "loss") -> Ahead:
-        """Have workers begin to evaluate rows (n, d): their losses, residuals or derivatives.
+        """Start to evaluate rows (n, d) on workers: losses, residuals or derivatives.
 
-        Nothing is counted or recorded: that is done when they are asked for as without workers.
-        Only as many are begun as the budget can pay for.
+        This counts and records nothing; the later request for the values does. Only as many
+        evaluations start as the budget allows.
         """
         cost = self._problem.cost(fidelity) * (self.jacobian_cost if kind == "jacobian" else 1)
         affordable = len(thetas)
@@ -212,9 +274,9 @@ class Oracle:
         return Ahead([], ask) if self._evaluations is None else self._evaluations.ahead(ask)
 
     def first_ready(self, needs: Sequence[Ahead]) -> int:
-        """The position of the evaluations that workers have ended first; waits for one of them.
+        """Position of the first of these evaluations that is complete; waits for one of them.
 
-        Where workers make none, it is 0; in a run that is a replay, what it was in the original.
+        It is 0 without workers; a replay returns the position of the original run.
         """
         if len(needs) == 1:
             return 0
@@ -239,35 +301,35 @@ class Oracle:
 
     @property
     def order(self) -> NDArray[np.intp] | None:
-        """Positions of all residuals in the order of a fidelity, None if they stand in it."""
+        """Positions of all residuals in the order of a fidelity, None if they are in this order."""
         return self._values.least_squares.order
 
     @property
     def jacobian_cost(self) -> int:
-        """What the derivatives of the residuals cost, in evaluations of the same rows."""
+        """Cost of the derivatives of the residuals, in evaluations of the same rows."""
         cost = self._values.least_squares.jacobian_cost
         return len(self.space) if cost is None else cost
 
     @property
     def rounding(self) -> float:
-        """A loss up to this counts as 0: its digits are rounding."""
+        """Largest loss that is rounding and counts as 0."""
         return self._problem.rounding
 
     @property
     def resolution(self) -> float:
-        """Losses that differ by no more than this count as equal."""
+        """Difference up to which two losses count as equal."""
         return self.meter.starts.rounding
 
     @property
     def noise(self) -> float:
-        """A loss above this is more than the noise of the data explains, as far as is known."""
+        """Upper estimate of the loss that the noise of the data explains."""
         return self._problem.noise
 
     def structured(self, theta: Array) -> bool:
-        """Whether residuals at a configuration (d,) have structure that noise has not.
+        """Whether residuals at a configuration (d,) have a structure that noise does not have.
 
-        It takes an evaluation, of long data a part of one, where the inputs of rows are known.
-        Residuals that cannot be evaluated are in doubt.
+        This costs one evaluation, or a fraction of one for many rows, if the problem has
+        `row_inputs`. Residuals that cannot be evaluated count as structured.
         """
         inputs, rows = self._problem.row_inputs, self.rows
         if not inputs:
@@ -280,26 +342,44 @@ class Oracle:
         places = np.arange(residuals.size)
         if share < 1 and self.order is not None:
             places = self.order[: residuals.size]
-        data = places < inputs[0].size  # not what a prior adds
+        data = places < inputs[0].size  # without residuals of priors
         return has_structure([x[places[data]] for x in inputs], residuals[data])
 
     def affords(self, evaluations: float) -> bool:
-        """Whether the budget can pay for so many more evaluations, whatever their rounding."""
+        """Whether the budget covers this number of further evaluations, up to rounding."""
         return self._recorder.count_after(evaluations) <= self._limit
 
     def cost(self, fidelity: float) -> float:
-        """What one evaluation at a fidelity costs, in full evaluations."""
+        """Cost of one evaluation at a fidelity, in full evaluations."""
         return self._problem.cost(fidelity)
 
     def residuals(self, theta: Array, fidelity: float = 1.0, *, goes_on: bool = False) -> Array:
-        """Residuals (m,) of one configuration (d,) in units: one evaluation of so many rows.
+        """Evaluate the residuals of one configuration.
 
-        A run ends before an evaluation, never between it and the use of its value. One that
-        `goes_on` with the evaluation before it, of which it is a part, is made even if the run is
-        over, unless the budget cannot pay for it.
+        A run ends before an evaluation, never between an evaluation and the use of its value. With
+        `goes_on` the evaluation is a part of the previous one: it is made even if the run is over,
+        unless the budget does not cover it.
 
-        Raises UnusableValueError if the problem raises; residuals that are not finite are
-        returned as they are, for solvers that know what to do with them.
+        Parameters
+        ----------
+        theta : ndarray of shape (d,)
+            Configuration in units.
+        fidelity : float, optional
+            Fraction of the rows to use, in (0, 1].
+        goes_on : bool, optional
+            Whether this continues the previous evaluation.
+
+        Returns
+        -------
+        ndarray of shape (m,)
+            Residuals. They are returned unchanged if they are not finite.
+
+        Raises
+        ------
+        UnusableValueError
+            If the problem raises.
+        BudgetExhausted
+            At the end of the budget.
         """
         part, cost = self._part(fidelity)
         if not goes_on:
@@ -317,10 +397,10 @@ class Oracle:
         return residuals
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Residuals (k, m) of the first k of some configurations (n, d): k evaluations.
+        """Residuals (k, m) of the first k of several configurations (n, d): k evaluations.
 
-        As many as fit between two looks at the clock, and as the budget pays for; with none left it
-        is exhausted. A row is NaN where the problem raises.
+        k is limited by the time between two checks of the clock, and by the budget; raises
+        BudgetExhausted if it is 0. A row is NaN if the problem raises.
         """
         part, cost = self._part(fidelity)
         self._check_open()
@@ -338,8 +418,8 @@ class Oracle:
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,) in units.
 
-        Costs `jacobian_cost` evaluations; a budget that cannot pay it is exhausted. Raises
-        UnusableValueError if the problem raises or a derivative is not finite.
+        Costs `jacobian_cost` evaluations. Raises BudgetExhausted if the budget does not cover them,
+        and UnusableValueError if the problem raises or a derivative is not finite.
         """
         part, cost = self._part(fidelity)
         cost *= self.jacobian_cost
@@ -359,18 +439,18 @@ class Oracle:
         self.meter.seconds = self.seconds
 
     def _part(self, fidelity: float) -> tuple[tuple[float, ...], float]:
-        """The arguments by which a problem takes a fidelity, none for all rows, and its cost."""
+        """Arguments for a fidelity (none for all rows), and the cost of an evaluation."""
         if fidelity == 1.0:
             return (), 1.0
         return (fidelity,), self._problem.cost(fidelity)
 
     def spend(self, block: Callable[[float, float, float], Block], least: float) -> None:
-        """Let a kernel evaluate in blocks of some 20 ms until it is done.
+        """Run a compiled kernel in blocks of about 20 ms until it is done.
 
-        `block(most, best, target)` spends no more than `most` evaluations and reports what it did,
-        each improvement at its own evaluation; the state of its method is then whole, and it goes
-        on there when it is called again. `least` is what it may need for its next step: a budget
-        that cannot pay it is exhausted. Raises, as an evaluation would, where the run is over.
+        `block(most, best, target)` makes at most `most` evaluations and reports them, with each
+        improvement at its evaluation. It must leave the state of the method complete, so that the
+        next call continues from it. `least` is the number of evaluations that its next step may
+        need; a budget below it is exhausted. Raises like an evaluation at the end of the run.
         """
         meter = self.meter
         while True:
@@ -388,10 +468,10 @@ class Oracle:
 
     @contextmanager
     def descent(self) -> Iterator[Descent]:
-        """Record what is evaluated inside as one descent of this run.
+        """Record the enclosed evaluations as one descent of this run.
 
-        For methods that descend from several starts of their own: how many ends agree is the
-        evidence for a run's optimum. The method sets `converged`.
+        For methods that descend from several starts: the agreement of their ends is the evidence
+        for the optimum. The method sets `converged`.
         """
         self._descent = descent = Descent()
         self.meter.starts.descents.append(descent)
@@ -410,36 +490,43 @@ class Oracle:
         finished: bool = True,
         theta: Array | None = None,
     ) -> None:
-        """Record a descent that `descent` cannot enclose, since other descents' steps lie between.
+        """Record a descent whose steps alternate with steps of other descents.
 
-        `start` and `end` are losses over all rows, `start` math.inf where it was not looked at on
-        all of them; `theta` (d,) is where it ended, in units. A descent that came back to an
-        optimum ended at the loss and the place of that one.
+        Parameters
+        ----------
+        start, end : float
+            Losses over all rows; `start` is math.inf if the start was not evaluated on all rows.
+            For a descent that came back to a known optimum, `end` and `theta` are those of the
+            optimum.
+        converged, finished : bool, optional
+            Whether the solver converged, and whether the descent came to its end.
+        theta : ndarray of shape (d,), optional
+            The end, in units.
         """
         self.meter.starts.add(start, end, converged=converged, finished=finished, theta=theta)
 
     def record_dropped(self) -> None:
-        """Record a descent that ended on fewer rows, where a known optimum is no worse."""
+        """Record a descent that ended on fewer than all rows, no better than a known optimum."""
         self.meter.starts.dropped += 1
 
     def record_screened(self, configurations: int) -> None:
-        """Record how many configurations were looked at to choose from which to descend."""
+        """Record a number of configurations that were evaluated to choose starts of descents."""
         self.meter.starts.screened += configurations
 
     @property
     def agreement(self) -> Agreement:
-        """How the ends of the descents so far agree on the best loss so far.
+        """Agreement of the ends of the descents so far on the best loss.
 
-        Where it is `enough`, a method may stop.
+        If it is `enough`, a method may stop.
         """
         return self.meter.starts.agreement(self.best)
 
     def stop(self) -> None:
-        """Read the clocks for the last time: no evaluation follows."""
+        """Read the clocks for the last time, after the last evaluation."""
         self._recorder.stop()
         usage, recorder = self.usage, self._recorder
         if usage is not None and usage.each is None and not usage.known and recorder.evaluated:
-            usage.here += round(recorder.evaluated)  # in blocks, which nobody else has timed
+            usage.here += round(recorder.evaluated)  # blocks are timed here only
             usage.each = recorder.evaluating / recorder.evaluated
 
     def _check_open(self) -> None:
@@ -448,7 +535,7 @@ class Oracle:
             raise BudgetExhausted
 
     def _check_end(self) -> None:
-        """End the run between two evaluations; a full count ends it only at the next one."""
+        """End the run between two evaluations; a full count ends it at the next evaluation only."""
         self._check_interrupt()
         if self.meter.seconds >= self._deadline or self.meter.best <= self._target:
             raise BudgetExhausted
@@ -458,7 +545,7 @@ class Oracle:
             raise RunInterrupted
 
     def _chunk(self, rows: int, cost: float) -> int:
-        """Rows to evaluate before the next look at the clock, within the evaluations left."""
+        """Number of rows to evaluate before the next check of the clock, within the budget."""
         meter = self.meter
         if rows > 1:
             rate = meter.evaluations / meter.seconds if meter.seconds > 0 else 0.0
@@ -485,12 +572,12 @@ class Oracle:
         self._recorder.record(at, improved, thetas, losses.size * cost, started)
 
     def _record_block(self, block: Block, started: float) -> None:
-        """Record what a block did, with its improvements."""
+        """Record the evaluations and improvements of a compiled block."""
         for reason, count in block.rejected.items():
             if count:
                 self.meter.reject(reason, count)
         if block.provisional is not None:
             self.meter.note(*block.provisional)
         if block.losses.size:
-            self._recorder.count_outside(block.thetas)  # of a block, only those that improve
+            self._recorder.count_outside(block.thetas)  # a block reports improvements only
         self._recorder.record(block.at, block.losses, block.thetas, block.evaluations, started)

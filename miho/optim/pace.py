@@ -1,4 +1,4 @@
-"""How fast a run goes on: evaluations per second, busy workers, and the time to its end."""
+"""Speed of a run: evaluations per second, busy workers, and the time to its end."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from miho.optim.meter import Budget
 from miho.optim.oracle import Oracle
 
 LOGGED = 10.0
-"""Seconds between two lines in a log, and over which a rate is taken."""
+"""Seconds between two lines of a log, and window of the rate."""
 
 
 class Pace:
-    """What a run does at present; to be updated about ten times a second.
+    """Current speed of a run; call `update` about ten times a second.
 
-    The `first` line of a log is due after so many seconds.
+    The first line of a log is due after `first` seconds.
     """
 
     def __init__(self, budget: Budget, first: float = LOGGED) -> None:
@@ -26,7 +26,7 @@ class Pace:
         self._logged = time.monotonic() + first - LOGGED
 
     def update(self, oracle: Oracle) -> None:
-        """Take note of where the run is; what it knew from before is no pace."""
+        """Record the progress; evaluations from the journal do not count as speed."""
         now, known = time.monotonic(), 0 if oracle.usage is None else oracle.usage.known
         if known > self._known:
             self._known = known
@@ -36,7 +36,7 @@ class Pace:
             self._points.popleft()
 
     def line_due(self) -> bool:
-        """Whether LOGGED seconds have passed since it was last due, or `first` since the start."""
+        """Whether LOGGED seconds have passed since the last line, or `first` since the start."""
         due = time.monotonic() - self._logged >= LOGGED
         if due:
             self._logged = time.monotonic()
@@ -44,14 +44,14 @@ class Pace:
 
     @property
     def rate(self) -> float:
-        """Evaluations per second, of late; 0 before there are any."""
+        """Recent evaluations per second; 0 before the second update."""
         if len(self._points) < 2:
             return 0.0
         (since, before), (now, count) = self._points[0], self._points[-1]
         return (count - before) / (now - since) if now > since else 0.0
 
     def seconds_left(self, oracle: Oracle) -> float:
-        """The most that are left at this pace, infinite without a limit: it may end by itself."""
+        """Upper estimate of the time to the end in seconds, infinite without a limit."""
         left = math.inf
         if self._budget.evaluations is not None and self.rate > 0:
             left = (self._budget.evaluations - oracle.evaluations) / self.rate
@@ -60,7 +60,7 @@ class Pace:
         return max(0.0, left)
 
     def words(self, oracle: Oracle) -> str:
-        """Rate, workers, and the time to the end, such as ', 4.9/s, 4 of 4 workers busy (98 %)'."""
+        """Rate, workers and remaining time, for example ', 4.9/s, at most 60 s left'."""
         words = f", {self.rate:,.3g}/s" if self.rate else ""
         usage = oracle.usage
         if usage is not None and usage.workers > 1 and usage.efficiency is not None:

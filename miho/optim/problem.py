@@ -1,4 +1,4 @@
-"""What is minimised: a loss over a space."""
+"""Problems: a loss over a space, and the least-squares special case."""
 
 from __future__ import annotations
 
@@ -17,19 +17,36 @@ from miho.quantities import Array
 
 
 class Problem(ABC):
-    """A loss over a box of parameters; the loss of a row depends on that row alone.
+    """Abstract base class of a loss over a box of parameters.
 
-    `name` identifies the problem in seeds, stores and figures: two problems with one name are the
-    same problem. `kernel` holds fast forms of this very loss, for methods that know what to do
-    with them. A loss up to `rounding` counts as 0: its digits are rounding. Losses that differ by
-    less than `resolution` count as equal: a method that sees only losses may end so far above a
-    minimum whose loss is 0. A loss above `noise` is more than the noise of the data explains, as
-    far as the problem can tell: the model is wrong, or a better optimum exists. So it is where the
-    residuals of rows have structure along `row_inputs`, (N,) each, that noise has not; without any,
-    nobody looks. `rows` is the number of rows of data, where a fidelity of m / rows takes the first
-    m of them in the problem's own order; it is None for a problem that has no cheaper versions of
-    itself. `called_as` says how functions of the user's are called, for one that has to find it
-    out.
+    Subclasses implement `loss`, and set `name` and `space`. The loss of a configuration must not
+    depend on the other configurations of a batch.
+
+    Attributes
+    ----------
+    name : str
+        Identifies the problem in seeds, stores and figures. Two problems with one name count as the
+        same problem.
+    space : Space
+        The parameters and their bounds.
+    kernel : Kernel, optional
+        Fast forms of the loss, for methods that can use them.
+    rounding : float
+        Largest loss that is rounding and counts as 0.
+    resolution : float
+        Difference below which two losses count as equal. A method that sees only losses may end
+        this far above a minimum of loss 0.
+    noise : float
+        Upper estimate of the loss that the noise of the data explains. A larger loss means a wrong
+        model, or that a better optimum exists.
+    row_inputs : sequence of ndarray
+        Input columns, (N,) each. Methods look for structure in the residuals along them; noise has
+        none. Without inputs there is no such test.
+    rows : int, optional
+        Number of rows of the data, if a fidelity of m / rows uses the first m rows in the order of
+        the problem. None for a problem without cheaper approximations.
+    called_as : sequence
+        How the user's functions are called, for a problem that had to find out.
     """
 
     name: str
@@ -44,43 +61,60 @@ class Problem(ABC):
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Losses (n,) of parameter rows (n, d) in units; a row's loss is the same in any batch.
+        """Return the loss of each configuration.
 
-        `fidelity` in (0, 1] is the fraction of the data that may be used; a problem without
-        cheaper versions of itself ignores it.
+        Parameters
+        ----------
+        thetas : ndarray of shape (n, d)
+            Configurations in the units of the space.
+        fidelity : float, optional
+            Fraction of the data to use, in (0, 1]. Problems without cheaper approximations ignore
+            it.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Losses; the loss of a row is the same in any batch.
         """
 
     @property
     def description(self) -> str:
-        """What tells this problem from others whose evaluations must not be mixed with its own."""
+        """Text that identifies the problem in an evaluation log, so that problems do not mix."""
         return f"{self.name}: {', '.join(self.space.names)}"
 
     def spread(self, evaluations: Evaluations) -> Problem:
-        """This problem with its evaluations made by these; itself if it is never dear."""
-        from miho.optim.spread import spread  # which knows what a problem is
+        """This problem with its evaluations on workers; itself if it is never expensive."""
+        from miho.optim.spread import spread  # imports this module
 
         return self if self.kernel is not None else spread(self, evaluations)
 
     def cost(self, fidelity: float) -> float:
-        """What one evaluation at a fidelity costs, in full evaluations; at 1 it is a full one.
+        """Cost of one evaluation at a fidelity, in full evaluations; 1 at fidelity 1.
 
-        To be overridden by a problem that uses another fraction of its data than the fidelity.
+        Override it if the problem uses another fraction of its data than the fidelity.
         """
         return fidelity
 
 
 class LeastSquaresProblem(Problem):
-    """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
+    """Abstract base class of a problem whose loss is the mean square of residuals (Eq. 1).
 
-    Their number is `rows`, if the residuals of the first rows can be computed alone: a fidelity
-    takes so many of them in the problem's own order. If `rows` is None, all are computed always.
-    `order` (N,) gives the positions of the rows of all residuals in that order, None if they stand
-    in it already.
+    Subclasses implement `loss`, `residuals` and `jacobian`. With `rows`, the residuals of the first
+    m rows can be computed alone, and a fidelity uses the first rows in the order of the problem. If
+    `rows` is None, every evaluation computes all residuals.
 
-    `jacobian_cost` is what one Jacobian costs in evaluations; if None, the number of parameters, as
-    by forward differences. `linear` names parameters in which the residuals are jointly linear:
-    with all others fixed, they are an offset plus a fixed combination of these. So a (x + b) is
-    linear in a or in b, but not in both.
+    Attributes
+    ----------
+    jacobian_cost : int, optional
+        Cost of one Jacobian in evaluations; by default the number of parameters, as for forward
+        differences.
+    linear : tuple of str
+        Parameters in which the residuals are jointly linear: with all others fixed, residuals are a
+        constant plus a linear combination of them. For example, a (x + b) is linear in a or in b,
+        but not in both.
+    order : ndarray of shape (N,), optional
+        Positions of the rows of all residuals in the order of the problem; None if they are in this
+        order.
     """
 
     jacobian_cost: int | None = None
@@ -89,13 +123,13 @@ class LeastSquaresProblem(Problem):
 
     @abstractmethod
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Model minus data, (m,), of one configuration (d,), over a fidelity of the rows."""
+        """Residuals, model minus data, (m,), of one configuration (d,), at a fidelity."""
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Residuals (n, m) of several configurations (n, d), over a fidelity of the rows.
 
-        For problems that are faster with several at once; others leave this, and `residuals` is
-        called for each.
+        Implement it if several configurations at once are faster; otherwise MIHO calls `residuals`
+        for each of them.
         """
         raise NotImplementedError
 
@@ -105,6 +139,6 @@ class LeastSquaresProblem(Problem):
 
 
 def mean_square(residuals: Array) -> Array:
-    """Mean square over the last axis (Eq. 1), bit for bit the same for one row as in a batch."""
+    """Mean square over the last axis (Eq. 1); a row has the same bits alone as in a batch."""
     squares = np.einsum("...i,...i->...", residuals, residuals)
     return np.asarray(squares / residuals.shape[-1])

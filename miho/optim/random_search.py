@@ -1,4 +1,4 @@
-"""Random search: the yardstick that every method must beat."""
+"""Random search, the baseline that every method must beat."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class RandomSearch(AskTell[RandomSearchState]):
         one_of("sampling", self.sampling, SAMPLINGS)
 
     def init(self, space: Space, rng: np.random.Generator) -> RandomSearchState:
-        """The first batch is the common initial configurations."""
+        """State with the common initial configurations as first batch."""
         return RandomSearchState(space, rng, space.initial(self.batch, self.sampling))
 
     def ask(self, state: RandomSearchState) -> Array:
-        """The batch drawn last."""
+        """The last batch, in units."""
         return state.space.decode(state.batch)
 
     def tell(self, state: RandomSearchState, thetas: Array, losses: Array) -> None:
@@ -45,5 +45,5 @@ class RandomSearch(AskTell[RandomSearchState]):
         state.batch = state.space.sample(self.batch, state.rng, self.sampling)
 
     def done(self, state: RandomSearchState) -> bool:
-        """False: only the budget ends it."""
+        """False: only the budget ends the search."""
         return False

@@ -1,4 +1,4 @@
-"""The clock, the count of evaluations and the improvements of one run."""
+"""Clock, count of evaluations and improvements of one run."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from miho.quantities import Array
 OBSERVE_SECONDS = 0.1
 CHECKED_AT_ONCE = 1024
 OFF_A_ROW, ROUNDED = 1e-6, 1e-15
-"""How far a sum of fractions may be off a whole number of rows, besides a few roundings of it."""
+"""Tolerance of a sum of fractions as a whole number of rows, absolute and relative."""
 
 
 class Recorder:
-    """Counts evaluations up to `limit`, and records improvements, all in a `meter`.
+    """Counts evaluations up to `limit` and records improvements, in a `meter`.
 
-    The clock runs while method and problem compute; it stands still while an improvement is
-    recorded, or while `observe` looks on, some ten times a second. `rows` is the number of rows of
-    data of which fidelities are fractions, None if they are not.
+    The clock runs while the method and the problem compute. It stops while an improvement is
+    recorded and during `observe`, about ten times a second. `rows` is the number of rows of data,
+    None if fidelities are not fractions of rows.
     """
 
     def __init__(
@@ -94,13 +94,13 @@ class Recorder:
             self._wall = self._clock.wall() - now
 
     def charge(self, evaluations: float) -> None:
-        """Count what was allowed: a sum of fractions is beyond the limit by its rounding only."""
+        """Count evaluations that were allowed; only rounding can exceed the limit."""
         self.meter.evaluations = min(self.count_after(evaluations), self._limit)
 
     def count_after(self, evaluations: float) -> float:
-        """The count after so many more, which does not depend on the blocks that they came in.
+        """Count after further evaluations; it does not depend on how they were divided into blocks.
 
-        On rows of data it is a whole number of them, divided once: sums of fractions would differ
+        On rows of data it is a whole number of rows, divided once: sums of fractions would differ
         in their last bits.
         """
         count = self.meter.evaluations + evaluations
@@ -112,9 +112,9 @@ class Recorder:
         return whole / self._rows if near else count
 
     def count_outside(self, thetas: Array) -> None:
-        """Count the configurations (n, d) outside of the box.
+        """Count the configurations (n, d) outside the bounds, many at once.
 
-        Many at once, since looking at ten costs as much as looking at a thousand.
+        A check of ten costs as much as a check of a thousand.
         """
         if thetas.shape[1:] != (self._d,):
             raise ValueError(

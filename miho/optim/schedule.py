@@ -1,4 +1,4 @@
-"""The table of Hyperband's brackets and rungs (Alg. 1, lines 1-6), in integers throughout."""
+"""Hyperband's brackets and rungs (Alg. 1, lines 1-6), in integer arithmetic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROUNDINGS = ("ceil", "floor")
 
 @dataclass(frozen=True)
 class Rung:
-    """n configurations that get `mutations` evaluations each, in bracket s at position j."""
+    """n configurations with `mutations` evaluations each, in bracket s at position j."""
 
     s: int
     j: int
@@ -20,9 +20,9 @@ class Rung:
 
 
 def largest_bracket(R: int, eta: int, rounding: str = "ceil") -> int:
-    """s_max of line 1: log_eta(R) rounded up as printed, or down as in the original Hyperband.
+    """s_max of line 1: log_eta(R), rounded up as printed, or down as in the original Hyperband.
 
-    Counted in integers: floating-point logarithms lose a bracket at (243, 3) and (1000, 10).
+    In integers: floating-point logarithms lose a bracket at (243, 3) and (1000, 10).
     """
     s, power = 0, 1
     while power * eta <= R:
@@ -33,8 +33,14 @@ def largest_bracket(R: int, eta: int, rounding: str = "ceil") -> int:
 def hyperband_table(R: int, eta: int, rounding: str = "ceil") -> tuple[Rung, ...]:
     """All rungs in the order of Alg. 1: brackets s = s_max ... 0, rungs j = 0 ... s.
 
-    With B = (s_max + 1) R, a bracket starts n = ceil(B / R * eta^s / (s + 1)) configurations;
-    rung j holds floor(n / eta^j), at least one, and gives each floor(R eta^(j - s)) mutations.
+    With B = (s_max + 1) R, bracket s starts with n = ceil(B / R * eta^s / (s + 1)) configurations;
+    rung j has floor(n / eta^j), at least one, with floor(R eta^(j - s)) mutations each.
+
+    Examples
+    --------
+    >>> from miho.optim import hyperband_table
+    >>> [(rung.s, rung.n, rung.mutations) for rung in hyperband_table(9, 3)]
+    [(2, 9, 1), (2, 3, 3), (2, 1, 9), (1, 5, 3), (1, 1, 9), (0, 3, 9)]
     """
     whole("R", R, 1)
     whole("eta", eta, 2)

@@ -1,4 +1,4 @@
-"""Random streams named by what they are for, so that no stream depends on another's use."""
+"""Random streams by name, so that no stream depends on the use of another."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ Part = str | int
 
 
 def stream(*parts: Part) -> np.random.Generator:
-    """A generator of its own for these named parts, the same on every machine.
+    """Independent random generator for these named parts, the same on every machine.
 
-    (problem, repetition) names what all methods share; a method's own stream adds its name.
+    (problem, repetition) names the streams that all methods share; the stream of one method adds
+    its name.
     """
     name = "\0".join(f"{type(part).__name__}:{part}" for part in parts)
     entropy = int.from_bytes(hashlib.sha256(name.encode()).digest(), "little")

@@ -1,4 +1,4 @@
-"""Nelder and Mead's simplex, one batch at a time."""
+"""Nelder and Mead's simplex method, one batch at a time."""
 
 from __future__ import annotations
 
@@ -9,21 +9,25 @@ import numpy as np
 from miho.quantities import Array
 
 FLAT, SMALL = 1e-9, 1e-8
-"""It is done where its losses differ by less than the first, as a fraction, or its corners by less
-than the second."""
+"""The simplex has converged if its losses differ by less than FLAT, relative, or its corners by
+less than SMALL, as shares of the box."""
 PATIENCE = 10
-"""Or where its best corner is the same after so many times (d + 1) evaluations."""
+"""It also ends if its best corner is unchanged after this number times (d + 1) evaluations."""
 
 
 @dataclass
 class Simplex:
-    """A simplex in the unit box: corners (d + 1, d) with losses (d + 1,), and what it needs next.
+    """A simplex in the unit box: corners (d + 1, d), losses (d + 1,), and the next points.
 
-    `batch` holds points whose losses are needed: all corners, those of a shrunken simplex, or one
-    trial; `trial` says which. `reflected` (d,) is the worst corner's reflection, with its loss.
-    The best corner is from evaluation number `improved`. The coefficients depend on d as Gao and
-    Han propose (Computational Optimization and Applications 51, 2012); without that it fails to
-    descend in more than a few parameters.
+    `batch` has the points whose losses are needed: all corners, the corners of a shrunken simplex,
+    or one `trial` point. `reflected` (d,) is the reflection of the worst corner, with its loss.
+    `improved` is the evaluation that found the best corner. The coefficients depend on d [1]_;
+    standard coefficients fail to descend with more than a few parameters.
+
+    References
+    ----------
+    .. [1] F. Gao, L. Han, "Implementing the Nelder-Mead simplex algorithm with adaptive
+       parameters", Computational Optimization and Applications 51 (2012) 259-277.
     """
 
     corners: Array
@@ -37,7 +41,7 @@ class Simplex:
 
     @classmethod
     def around(cls, point: Array, loss: float, edge: float) -> Simplex:
-        """A simplex with a corner at `point` (d,) and edges along the coordinates, into the box."""
+        """Simplex with a corner at `point` (d,) and edges along the coordinates, into the box."""
         d = point.size
         steps = np.where(point + edge <= 1.0, edge, -edge)
         corners = np.vstack([point, point + np.diag(steps)])
@@ -51,14 +55,14 @@ class Simplex:
 
     @property
     def done(self) -> bool:
-        """Whether it has become flat or small, or gets no further."""
+        """Whether the simplex is flat, small, or no longer improves."""
         least, spread = self.losses.min(), np.ptp(self.losses)
         stalls = self.evaluations - self.improved >= PATIENCE * len(self.corners)
         small = np.ptp(self.corners, axis=0).max() < SMALL
         return bool(stalls or small or spread <= FLAT * abs(least))
 
     def tell(self, losses: Array) -> None:
-        """Move on, given the losses of the batch."""
+        """Advance with the losses of the batch."""
         self.evaluations += losses.size
         if losses.min() < self.losses.min():
             self.improved = self.evaluations
@@ -80,7 +84,7 @@ class Simplex:
             self.trial, self.batch = "shrink", self.corners[1:].copy()
 
     def _judge(self, point: Array, loss: float) -> None:
-        """Expand, accept or contract the reflection of the worst corner by its loss."""
+        """Expand, accept or contract the reflection of the worst corner, depending on its loss."""
         self.reflected, self.reflected_loss = point, loss
         if loss < self.losses[0]:
             self._ask("expand", self._middle + self._expand * (self._middle - self.corners[-1]))
@@ -91,7 +95,7 @@ class Simplex:
             self._ask("contract", self._middle + self._contract * (outer - self._middle))
 
     def _reflect(self) -> None:
-        """Sort the corners, and ask for the reflection of the worst one."""
+        """Sort the corners, and request the reflection of the worst corner."""
         order = np.argsort(self.losses, kind="stable")
         self.corners, self.losses = self.corners[order], self.losses[order]
         self._ask("reflect", 2 * self._middle - self.corners[-1])

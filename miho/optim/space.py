@@ -1,4 +1,4 @@
-"""The box of parameters that a search may use, and where searches start in it."""
+"""Parameters and their bounds, and where searches start within them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its packages at their first use; importing them here takes a second
 from numpy.typing import NDArray
 
 from miho.optim.seeds import Part, stream
@@ -18,33 +18,59 @@ from miho.validate import one_of
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
 FARTHEST = 3.0
-"""A prior whose mean lies more of its deviations outside of the bounds contradicts them."""
+"""Largest distance of a prior's mean outside the bounds, in its standard deviations."""
 COMMON = 30
-"""Common initial configurations that are drawn once."""
+"""Number of common initial configurations that are drawn once."""
 LARGEST_BATCH = 10_000_000
-"""More configurations than this at once do not fit into a machine's memory."""
+"""Largest number of configurations that fit into the memory of a machine."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: its unit, its range and how a search draws and perturbs it.
+    """One parameter: its unit, range and scale, and how searches draw and mutate it.
 
-    On the linear scale `mean`, `std`, `sigma_max` and `sigma_min` have the parameter's unit; on
-    the log scale `mean` has it, and the other three are in natural-log units (0.1 is about 10 %).
-    What is left out follows from the range: mean in the middle, std a quarter of the range,
-    sigma_max a tenth of it. `mean` and `std` describe the initial distribution, truncated to the
-    range (Alg. 1, line 4); sigma is the mutation's standard deviation (Eq. 2).
+    Parameters
+    ----------
+    name : str
+        Name of the parameter.
+    unit : str
+        Unit of its value.
+    low, high : float
+        Bounds, in the unit; finite unless the parameter is fixed or tied. With low = high the
+        parameter is fixed.
+    scale : {"linear", "log"}, optional
+        Scale on which searches move. On the log scale `mean` has the unit of the parameter, and
+        `std`, `sigma_max` and `sigma_min` are in natural-log units (0.1 is about 10 %).
+    mean, std : float, optional
+        Mean and standard deviation of the initial distribution, truncated to the range (Alg. 1,
+        line 4); by default the middle and a quarter of the range. They only determine where
+        searches start.
+    sigma_max, sigma_min : float, optional
+        Largest and smallest standard deviation of a mutation (Eq. 2); by default a tenth of the
+        range, and 0.
+    fixed : float, optional
+        Value of a parameter that is not searched for.
+    tied : str, optional
+        Expression of other parameters that gives the value, for example "1 - a - b". A range is
+        then a limit: no configuration beyond it has a value.
+    prior : tuple of float, optional
+        Prior knowledge besides the data: mean and standard deviation of a normal distribution, or
+        on the log scale its median and standard deviation in natural-log units. The bounds truncate
+        it. Its mean may be up to 3 standard deviations outside the bounds.
+    stands_for : Parameter, optional
+        The parameter that results report instead, which is tied to this one and to others.
 
-    A parameter is not searched for if it is `fixed` to a number, as it also is by low = high, or
-    `tied` to others by an expression, such as "1 - a - b". Neither needs a range; one that a tied
-    parameter has is a limit, beyond which no configuration has a value.
+    Raises
+    ------
+    ValueError
+        If the settings contradict each other.
 
-    `prior` is what is known of a free or tied one besides the data: mean and standard deviation of
-    a normal distribution, or on the log scale median and standard deviation in natural-log units.
-    The bounds truncate it; its mean may lie up to FARTHEST deviations outside of them. Unlike
-    `mean` and `std`, which only say where searches start, it counts.
-
-    Results are told of the parameter that this one `stands_for`, which is tied to it and others.
+    Examples
+    --------
+    >>> import miho
+    >>> rate = miho.Parameter("k", "1/s", low=1e-3, high=1e3, scale="log")
+    >>> rate.free
+    True
     """
 
     name: str
@@ -95,7 +121,7 @@ class Parameter:
 
     @property
     def free(self) -> bool:
-        """Whether it is searched for."""
+        """Whether the parameter is searched for."""
         return self.fixed is None and self.tied is None
 
     def _check_prior(self, label: str) -> None:
@@ -137,7 +163,7 @@ class Parameter:
 
     @property
     def largest_sigma(self) -> float:
-        """sigma_max, a tenth of the range unless given."""
+        """sigma_max, by default a tenth of the range."""
         if self.sigma_max is not None:
             return self.sigma_max
         log = self.scale == "log"
@@ -148,11 +174,37 @@ class Parameter:
 class Space:
     """Named parameters in a fixed order; theta[i] is the value of parameters[i], in its unit.
 
-    Searches move in *search coordinates*: the natural logarithm of a parameter on the log scale,
-    the parameter itself otherwise (`encode`, `decode`). `seed` names the common initial
-    configurations, which `minimize` sets from (problem, repetition): every method that asks
-    `initial(n)` starts from the same rows. Where `radial` is given, expressions of tied parameters
-    read of its shares the points that they stand for.
+    Searches move in search coordinates: the natural logarithm of a parameter on the log scale, the
+    parameter itself otherwise (`encode`, `decode`).
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The parameters; their names must differ.
+    seed : tuple, optional
+        Seed of the common initial configurations. `minimize` sets it from problem and repetition,
+        so that all methods start from the same configurations (`initial`).
+    radial : RadialMap, optional
+        Map from the shares in a space with constraints to points, for expressions of tied
+        parameters.
+
+    Raises
+    ------
+    ValueError
+        If there is no parameter, or if two have the same name.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> space = miho.Space((
+    ...     miho.Parameter("a", "V", 0, 5),
+    ...     miho.Parameter("k", "1/s", 1e-3, 1e3, scale="log"),
+    ... ))
+    >>> space.names
+    ('a', 'k')
+    >>> space.decode(np.array([2.0, 0.0]))
+    array([2., 1.])
     """
 
     parameters: tuple[Parameter, ...]
@@ -162,7 +214,7 @@ class Space:
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", tuple(self.parameters))
         if not self.parameters:
-            raise ValueError("a space needs at least one parameter")
+            raise ValueError("space: expected at least one parameter, got none; add one")
         if len(set(self.names)) != len(self.names):
             raise ValueError(f"parameter names must differ; got {', '.join(self.names)}")
 
@@ -171,7 +223,7 @@ class Space:
 
     @cached_property
     def free(self) -> Space:
-        """The parameters that are searched for."""
+        """Space of the parameters that are searched for."""
         if all(parameter.free for parameter in self.parameters):
             return self
         free = tuple(parameter for parameter in self.parameters if parameter.free)
@@ -184,7 +236,7 @@ class Space:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The parameters' names, in the order of theta."""
+        """Names of the parameters, in the order of theta."""
         return tuple(parameter.name for parameter in self.parameters)
 
     @cached_property
@@ -206,7 +258,7 @@ class Space:
         return bool(self._log.any())
 
     def encode(self, thetas: Array) -> Array:
-        """Units to search coordinates, (..., d)."""
+        """Convert units to search coordinates, (..., d)."""
         if not self._any_log:
             return thetas
         coordinates = thetas.copy()
@@ -214,7 +266,7 @@ class Space:
         return coordinates
 
     def decode(self, coordinates: Array) -> Array:
-        """Search coordinates to units, (..., d)."""
+        """Convert search coordinates to units, (..., d)."""
         if not self._any_log:
             return coordinates
         thetas = coordinates.copy()
@@ -228,40 +280,52 @@ class Space:
 
     @cached_property
     def scales(self) -> dict[int, Array]:
-        """What draws by scale have worked out of these ranges, by decades."""
+        """Cache of `miho.optim.brackets.by_scale`, by decades."""
         return {}
 
     @cached_property
     def sigma(self) -> tuple[Array, Array]:
-        """Maximum and minimum of the mutation's sigma in search coordinates, (d,) each (Eq. 2)."""
+        """Largest and smallest sigma of mutations in search coordinates, (d,) each (Eq. 2)."""
         return (
             np.array([p.largest_sigma for p in self.parameters]),
             np.array([p.sigma_min for p in self.parameters]),
         )
 
     def clip(self, thetas: Array) -> Array:
-        """The nearest points of the box, in units, (..., d)."""
+        """Nearest points within the bounds, in units, (..., d)."""
         return np.minimum(np.maximum(thetas, self.low), self.high)
 
     @cached_property
     def widened(self) -> tuple[Array, Array]:
-        """The bounds in units, (d,) each, widened by the rounding of the log scale."""
+        """Bounds in units, (d,) each, widened by the rounding of the log scale."""
         slack = 4 * np.finfo(float).eps * np.maximum(np.abs(self.low), np.abs(self.high))
         return self.low - slack, self.high + slack
 
     def contains(self, thetas: Array) -> NDArray[np.bool_]:
-        """Which rows lie in the box, up to one rounding of the log scale, (n,)."""
+        """Whether each row is within the bounds, up to the rounding of the log scale, (n,)."""
         low, high = self.widened
         inside = (thetas >= low) & (thetas <= high)
         return np.asarray(inside.all(axis=-1))
 
     def sample(self, n: int, rng: np.random.Generator, sampling: str = "normal") -> Array:
-        """Draw n configurations in search coordinates, (n, d).
+        """Draw configurations from the initial distribution.
 
-        `normal` is the paper's initial distribution, truncated to the box; `uniform_plus_noise`
-        adds Gaussian noise of sigma_max to a uniform draw, and may leave the box, as the authors'
-        public code does; `uniform` fills the box. The first rows of a longer draw from the same
-        generator state are the rows of a shorter one.
+        Parameters
+        ----------
+        n : int
+            Number of configurations.
+        rng : numpy.random.Generator
+            Source of randomness. From the same state, a longer draw begins with the rows of a
+            shorter one.
+        sampling : {"normal", "uniform_plus_noise", "uniform"}, optional
+            "normal" is the initial distribution of the paper, truncated to the bounds.
+            "uniform_plus_noise" adds Gaussian noise of sigma_max to a uniform draw, as the authors'
+            public code does, and may leave the bounds. "uniform" fills the bounds.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            Configurations in search coordinates.
         """
         one_of("sampling", sampling, SAMPLINGS)
         low, high = self.bounds
@@ -283,10 +347,9 @@ class Space:
 
     @cached_property
     def _normal(self) -> tuple[Array, Array, Array, Array]:
-        """The initial distribution in search coordinates, (d,) each.
+        """Parameters of the initial distribution in search coordinates, (d,) each.
 
-        Mean and standard deviation, by default the middle of the range and a quarter of it, and
-        its probabilities below the range and inside.
+        They are mean, standard deviation, and the probabilities below and inside the range.
         """
         low, high = self.bounds
         middle = self.decode((low + high) / 2)
@@ -300,14 +363,14 @@ class Space:
         return center, deviation, below, above - below
 
     def initial(self, n: int, sampling: str = "normal") -> Array:
-        """The first n of the common initial configurations, in search coordinates, (n, d)."""
+        """First n common initial configurations, in search coordinates, (n, d)."""
         if sampling == "normal" and n <= COMMON:
             return self._common[:n].copy()
         return self.sample(n, stream("initial", *self.seed), sampling)
 
     @cached_property
     def _common(self) -> Array:
-        """The first of the common initial configurations, which several parts of a fit ask for."""
+        """First common initial configurations, which several parts of a fit use."""
         return self.sample(COMMON, stream("initial", *self.seed))
 
     def seeded(self, *seed: Part) -> Space:

@@ -1,4 +1,4 @@
-"""What a run records: its error over time, a row per improvement, and where its descents ended."""
+"""Records of a run: its improvements over time, and the ends of its descents."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from miho.quantities import Array
 
 MOST_ENDS = 1000
 MOST_MINIMA = 20
-"""Locations of minima that a run keeps: a report descends from each that may be within the noise,
-and a reader can compare no more."""
+"""Largest number of minima that a run keeps: a report descends from each that may be within the
+noise, and a reader cannot compare more."""
 SAME_PLACE = 1e-3
-"""Descents that ended within this share of each parameter's size ended in one place."""
+"""Two descents ended in one place if each parameter differs by less than this share of its size."""
 
 
 @dataclass
 class Trace:
     """Columns of equal length, a row per improvement of the best loss.
 
-    `evaluations` counts full evaluations up to and including the improving one; `seconds` and
-    `cpu_seconds` are the method's own clock, without set-up and recording; `loss` decreases
-    strictly; `theta` is in units.
+    `evaluations` counts full evaluations up to and including the improvement. `seconds` and
+    `cpu_seconds` are on the clock of the method, without set-up and recording. `loss` decreases
+    strictly. `theta` is in units.
     """
 
     evaluations: list[float] = field(default_factory=list)
@@ -51,12 +51,12 @@ class Trace:
 
 @dataclass
 class Descent:
-    """One descent of a method that makes several: the losses where it started and where it ended.
+    """One descent of a method that makes several: its losses at the start and at the end.
 
-    `end` is its smallest loss, `theta` (d,) where that is, None if it is not known. `finished`
-    unless the budget, an interrupt or values that are no numbers cut it off; `converged` if its
-    solver says so. Losses are those over all rows; `start` is math.inf where the start was
-    evaluated on fewer only.
+    `end` is its smallest loss and `theta` (d,) the configuration there, None if unknown. `finished`
+    is false if the budget, an interrupt or non-finite values cut it off; `converged` is the verdict
+    of its solver. Losses are over all rows; `start` is math.inf if the start was evaluated on
+    fewer.
     """
 
     start: float = math.inf
@@ -67,11 +67,11 @@ class Descent:
 
     @property
     def improved(self) -> bool:
-        """Whether it ended better than it started."""
+        """Whether its end is better than its start."""
         return self.end < self.start
 
     def see(self, thetas: Array, losses: Array) -> None:
-        """Take in a batch of configurations (n, d) with losses (n,); the first is the start's."""
+        """Record a batch of configurations (n, d) with losses (n,); the first one is the start."""
         if self.start == math.inf:
             self.start = losses[0]
         best = losses.argmin()
@@ -81,14 +81,14 @@ class Descent:
 
 @dataclass
 class Starts:
-    """The starts of a run so far: how many were `screened`, and the descents from the best of them.
+    """Starts and descents of a run so far.
 
-    A configuration is screened if it is looked at, on few rows or on all, to decide whether to
-    descend from it. `descents` are in their order. `dropped` counts further ones that ended on
-    fewer rows than all, where a known optimum is no worse: their losses over all rows are not
-    known. With `brackets` a descent is the last candidate of a bracket of successive halving.
-    `exhausted` if the method ended at its largest number of brackets, not by its evidence. Losses
-    that differ by less than `rounding` count as equal.
+    `screened` counts the configurations that were evaluated, on any number of rows, to choose
+    starts. `descents` are in order. `dropped` counts further descents that ended on fewer than all
+    rows, no better than a known optimum, so that their final loss is unknown. With `brackets`, a
+    descent is the last candidate of a bracket of successive halving. `exhausted`: the method ended
+    at its largest number of brackets, without enough evidence. Losses that differ by less than
+    `rounding` count as equal.
     """
 
     screened: int = 0
@@ -107,43 +107,43 @@ class Starts:
         finished: bool = True,
         theta: Array | None = None,
     ) -> None:
-        """Add a descent from a loss to a loss, as `Descent` describes them."""
+        """Add a descent, see `Descent`."""
         self.descents.append(Descent(start, end, finished, converged, theta))
 
     def agreement(self, best: float) -> Agreement:
-        """How the ends of the finished descents agree on the run's `best` loss.
+        """Agreement of the ends of the finished descents on the run's `best` loss.
 
-        A method may stop if it is `enough`. Where the best was seen elsewhere than at an end, no
+        A method may stop if it is `enough`. If the best loss is not at an end of a descent, no
         descent agrees with it.
         """
         return agreement(self.ends, self.rounding, best=best, dropped=self.dropped)
 
     @property
     def finished(self) -> list[Descent]:
-        """The descents that came to an end, with a finite loss."""
+        """Descents that came to an end, with a finite loss."""
         return [
             descent for descent in self.descents if descent.finished and math.isfinite(descent.end)
         ]
 
     @property
     def ends(self) -> list[float]:
-        """The losses where those ended, in the order of the descents."""
+        """Losses at the ends of finished descents, in order."""
         return [
             float(each.end) for each in self.descents if each.finished and abs(each.end) < math.inf
         ]
 
 
 class Minimum(NamedTuple):
-    """Where descents ended: the loss, and the parameters (d,) in units."""
+    """End of descents: the loss, and the parameters (d,) in units."""
 
     loss: float
     theta: tuple[float, ...]
 
 
 def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
-    """The different places where descents ended, the best first, MOST_MINIMA of them at most."""
+    """Different places where descents ended, the best first, at most MOST_MINIMA."""
     minima: list[Minimum] = []
-    located = {  # many come back to one place, to its last bit
+    located = {  # many descents return to the same place, to the last bit
         (descent.end, descent.theta.tobytes()): descent.theta
         for descent in descents
         if descent.theta is not None
@@ -158,9 +158,9 @@ def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
 
 
 def _same_place(known: Minimum, theta: Array, end: float, near: Array) -> bool:
-    """Whether a descent to parameters `theta` (d,) ended where another is known to have ended.
+    """Whether parameters `theta` (d,) are in the same place as a known minimum.
 
-    Within `near` (d,) only if their losses agree: where a third one ended far out, that is wide.
+    `near` (d,) is a tolerance that applies only if the losses agree: one far descent makes it wide.
     """
     apart, sizes = np.abs(theta - known.theta), np.maximum(np.abs(theta), np.abs(known.theta))
     agree = in_optimum(known.loss, end) and (apart <= near).all()
@@ -169,18 +169,31 @@ def _same_place(known: Minimum, theta: Array, end: float, near: Array) -> bool:
 
 @dataclass(frozen=True)
 class Descents:
-    """The summary of a run's descents, as it is stored: how many there were, where they ended.
+    """Stored summary of a run's descents.
 
-    `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them, without the
-    `dropped` ones: those ended on fewer rows than all, no better than a known optimum, so that
-    their losses over all rows are not known. `converged` counts the finished ones whose solver says
-    so, `stayed` those that ended no better than they started. `screened` counts the configurations
-    from which the starts were chosen, `agreeing` the descents that ended in the optimum of the
-    run's best loss (None: not counted). With `brackets` a descent is the last candidate of a
-    bracket of successive halving; a method of brackets judges their ends itself, and `settled` says
-    whether it has ended because they were evidence enough. `minima` are the different places where
-    the best of them ended, as far as their method says where. Runs of older versions lack the
-    fields that have a default.
+    Attributes
+    ----------
+    started, finished, converged, stayed : int
+        Numbers of descents that started, that came to an end, that converged by their solver, and
+        that ended no better than they started.
+    ends : tuple of float
+        Losses at the ends of finished descents, ascending, at most MOST_ENDS, without `dropped`.
+    screened : int
+        Configurations from which the starts were chosen.
+    agreeing : int, optional
+        Descents that ended in the optimum of the run's best loss; None if not counted.
+    dropped : int
+        Descents that ended on fewer than all rows, no better than a known optimum.
+    brackets : bool
+        Whether a descent is the last candidate of a bracket of successive halving.
+    settled : bool
+        Whether a method of brackets ended because the evidence was enough.
+    minima : tuple of Minimum
+        Different places where the best descents ended, as far as the method records them.
+
+    Notes
+    -----
+    Runs of older versions lack the fields with a default.
     """
 
     started: int
@@ -197,9 +210,9 @@ class Descents:
 
     @classmethod
     def of(cls, starts: Starts, best: float, ended: bool = True) -> Descents | None:
-        """The summary, for a run's best loss; None if the method neither screens nor descends.
+        """Summary for a run's best loss; None if the method neither screens nor descends.
 
-        `ended` if the method has ended by itself.
+        `ended`: the method has ended by itself.
         """
         if not (starts.descents or starts.screened):
             return None
@@ -220,6 +233,6 @@ class Descents:
 
     @classmethod
     def from_stored(cls, record: Mapping[str, Any]) -> Descents:
-        """The summary from what JSON keeps of it; raises for other things."""
+        """Summary from its JSON form."""
         minima = tuple(Minimum(loss, tuple(theta)) for loss, theta in record.get("minima", ()))
         return cls(**{**record, "ends": tuple(record["ends"]), "minima": minima})
