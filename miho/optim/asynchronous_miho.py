@@ -1,4 +1,4 @@
-"""MIHO without batches: each configuration goes on as soon as its evaluation is there."""
+"""MIHO without batches: each configuration continues as soon as its evaluation is complete."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from miho.quantities import Array
 
 @dataclass
 class Chain:
-    """A configuration on its way through the mutations of a rung, x (d,) with its loss.
+    """A configuration x (d,) and its loss, on its way through the mutations of a rung.
 
     `step` counts its mutations on this rung, -1 before its first evaluation. `proposal` (d,) is
-    evaluated next, `ahead` by a worker; that is not part of a stored state, and begun again.
+    evaluated next, `ahead` is its evaluation on a worker, which a stored state does not contain.
     """
 
     rung: AsynchronousRung
@@ -44,10 +44,10 @@ class Chain:
 
 @dataclass
 class AsynchronousRung:
-    """A rung of a bracket that fills as configurations come.
+    """A rung of a bracket that fills one configuration at a time.
 
     `sigma` (mutations, d) anneals over its mutations. `seen` counts the configurations that ended
-    here; `waiting` is a heap of those that were not promoted, by loss and arrival.
+    here. `waiting` is a heap of the configurations that were not promoted, by loss and arrival.
     """
 
     rung: Rung
@@ -58,24 +58,24 @@ class AsynchronousRung:
 
     @property
     def complete(self) -> bool:
-        """Whether all of its configurations ended."""
+        """Whether all configurations of the rung have ended."""
         return self.seen == self.rung.n
 
     def add(self, loss: float, x: Array) -> None:
-        """Take a configuration that ended here."""
+        """Add a configuration that ended here."""
         heapq.heappush(self.waiting, (loss, self.seen, x))
         self.seen += 1
 
     def promotes(self, eta: int, n: int) -> bool:
-        """Whether the best that waits goes on to the next rung, which has n configurations.
+        """Whether the best waiting configuration continues on the next rung, of n configurations.
 
-        It does if it is among the best floor(seen / eta): if fewer than so many were promoted. A
-        rung that is complete promotes as many as the next one has.
+        It does if it is among the best floor(seen / eta), that is, if fewer were promoted. A
+        complete rung promotes as many as the next rung has.
         """
         return self.promoted < (n if self.complete else min(self.seen // eta, n))
 
     def promote(self) -> tuple[float, Array]:
-        """The best that waits, which goes on."""
+        """Remove and return the best waiting configuration."""
         self.promoted += 1
         loss, _, x = heapq.heappop(self.waiting)
         return loss, x
@@ -83,7 +83,7 @@ class AsynchronousRung:
 
 @dataclass
 class AsynchronousBracket:
-    """A bracket's rungs, and its fresh configurations (n, d), of which the first `begun` are."""
+    """Rungs of a bracket, and its fresh configurations (n, d); the first `begun` have started."""
 
     rungs: Sequence[AsynchronousRung]
     fresh: Array = field(repr=False)
@@ -92,10 +92,10 @@ class AsynchronousBracket:
 
 @dataclass
 class AsynchronousMIHOState:
-    """Chains that are under way, in the brackets that have not ended.
+    """Active chains, and the brackets that have not ended.
 
-    `coming` are the rungs of the brackets that have not begun. The evaluation of the chain at
-    position `arrived` is there, None while that is not known.
+    `coming` has the rungs of brackets that have not begun. `arrived` is the position of the chain
+    whose evaluation is complete, None while unknown.
     """
 
     space: Space
@@ -110,27 +110,29 @@ class AsynchronousMIHOState:
 class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
     """MIHO for evaluations of unequal length: as many chains of mutations as there are workers.
 
-    The settings are MIHO's, and so are the numbers of configurations on all rungs. A configuration
-    goes on to the next rung as soon as it is among the best one in eta of those seen on its rung
-    (ASHA: Li et al., A system for massively parallel hyperparameter tuning, MLSys 2020), the
-    deepest rung first; where none does, a fresh one begins. A bracket begins as soon as the one
-    before has begun all that it can, so that no worker waits before the last bracket.
+    Settings, and numbers of configurations on all rungs, are the same as for `MIHO`. A
+    configuration continues on the next rung as soon as it is among the best one in eta of its rung
+    (ASHA [1]_), the deepest rung first; otherwise a fresh one begins. A bracket begins as soon as
+    the previous one has started all it can, so that no worker waits before the last bracket.
 
-    There is one chain until an evaluation is known to be worth a worker of its own
-    (`Oracle.workers`). So the search is deterministic without workers, and where evaluations are
-    cheap; the steps of a single chain are made in compiled blocks if the problem has them. What
-    several chains decide depends on the evaluation after which they began and on the order in which
-    their evaluations end, and on nothing else: the arrivals of a run repeat it to the last bit
-    (`minimize(..., replay=record.arrivals)`).
+    There is one chain until evaluations are known to be expensive enough for one worker each
+    (`Oracle.workers`). So the search is deterministic without workers and for cheap evaluations; a
+    single chain uses compiled blocks if the problem has them. The decisions with several chains
+    depend only on the evaluation after which they began and on the order in which their evaluations
+    end: `minimize(..., replay=record.arrivals)` repeats a run to the last bit.
+
+    References
+    ----------
+    .. [1] L. Li et al., "A system for massively parallel hyperparameter tuning", MLSys (2020).
     """
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> AsynchronousMIHOState:
-        """Before the first bracket."""
+        """State before the first bracket."""
         brackets = [tuple(rungs) for _, rungs in groupby(self.table(), lambda rung: rung.s)]
         return AsynchronousMIHOState(oracle.space, rng, brackets)
 
     def step(self, state: AsynchronousMIHOState, oracle: Oracle) -> None:
-        """Take the evaluation that ended first, and go on from there; or compiled steps."""
+        """Process the evaluation that ended first, or make compiled steps."""
         if state.arrived is None:
             self._fill(state, oracle.workers)
             climb = self._climb_of(state, oracle)
@@ -140,7 +142,7 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
             state.arrived = self._first_ready(state, oracle)
         chain = state.chains[state.arrived]
         loss = float(oracle(state.space.decode(chain.proposal[None]))[0])
-        # The evaluation counts: nothing raises from here on. Who was served is last in line.
+        # Nothing raises from here on. The chain moves to the end of the queue.
         state.chains.append(state.chains.pop(state.arrived))
         state.arrived = chain.ahead = None
         if chain.step < 0 or loss < chain.loss:
@@ -148,13 +150,13 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
         self._count(state, 1)
 
     def done(self, state: AsynchronousMIHOState) -> bool:
-        """After the last bracket."""
+        """Whether the last bracket has ended."""
         return not (state.chains or state.brackets or state.coming)
 
     def _first_ready(self, state: AsynchronousMIHOState, oracle: Oracle) -> int:
-        """Have workers evaluate what chains propose; the position of the one that is there first.
+        """Start evaluations on workers; return the chain whose evaluation ends first.
 
-        A chain that is alone waits for no other, so nothing is begun ahead for it.
+        Returns its position. A single chain does not start its evaluation ahead.
         """
         if len(state.chains) == 1:
             return 0
@@ -166,14 +168,14 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
         return oracle.first_ready(needs)
 
     def _climb_of(self, state: AsynchronousMIHOState, oracle: Oracle) -> Climb | None:
-        """Compiled steps of a chain that is alone and has its first evaluation."""
+        """Compiled steps for a single chain that has its first evaluation."""
         alone = len(state.chains) == 1 and state.chains[0].step >= 0
         return climb_of(oracle) if alone and self.proposal == "mutation" else None
 
     def _climb(
         self, climb: Climb, state: AsynchronousMIHOState, most: float, best: float, target: float
     ) -> Block:
-        """At most `most` mutations of the only chain in compiled code."""
+        """Make at most `most` mutations of the only chain in compiled code."""
         (chain,) = state.chains
         count = min(int(most), chain.rung.rung.mutations - chain.step)
         P, L = chain.x[None].copy(), np.array([chain.loss])
@@ -190,7 +192,7 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
         return block
 
     def _count(self, state: AsynchronousMIHOState, evaluations: int) -> None:
-        """Count evaluations of the last chain; it goes on, or ends on this rung."""
+        """Count evaluations of the last chain, which continues or ends on this rung."""
         chain = state.chains[-1]
         chain.step += evaluations
         if chain.step < chain.rung.rung.mutations:
@@ -201,7 +203,7 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
         state.brackets = [b for b in state.brackets if not all(r.complete for r in b.rungs)]
 
     def _fill(self, state: AsynchronousMIHOState, workers: int) -> None:
-        """Begin chains until as many are under way as there are workers, or none can begin."""
+        """Begin chains until there is one per worker, or none can begin."""
         while len(state.chains) < workers:
             chains = (self._next_chain(state, bracket) for bracket in state.brackets)
             chain = next((chain for chain in chains if chain is not None), None)

@@ -1,4 +1,4 @@
-"""MIHO-GN whose brackets go on as their evaluations come."""
+"""MIHO-GN with several brackets at a time, for evaluations of unequal length."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from miho.optim.oracle import Oracle
 
 @dataclass
 class BracketUnderWay:
-    """A bracket, and its next round, which workers make.
+    """An active bracket and its next round, which workers evaluate.
 
-    The run had made so many `evaluations` when it last stood still. The `rounds` to come, and the
-    next `round`, are not part of a stored state: they follow from where the bracket stands.
+    `evaluations` is the count of the run when the bracket last advanced. A stored state does not
+    contain `rounds` and `round`: they follow from the state of the bracket.
     """
 
     state: MIHOGNState
@@ -35,14 +35,14 @@ class BracketUnderWay:
         return self.__dict__ | {"rounds": None, "round": None}
 
     def begun(self, oracle: Oracle) -> Round | None:
-        """The next round, begun; None where the phases are at their end."""
+        """Start the next round and return it; None at the end of the phases."""
         if self.rounds is None:
             self.rounds = rounds(oracle, self.state)
             self.round = next(self.rounds, None)
         return self.round
 
     def make_round(self, oracle: Oracle) -> None:
-        """Make the evaluations of the next round, and begin the one after it."""
+        """Make the evaluations of the next round, and start the round after it."""
         self.begun(oracle)
         try:
             self.round = None if self.rounds is None else next(self.rounds, None)
@@ -53,10 +53,10 @@ class BracketUnderWay:
 
 @dataclass
 class AsynchronousMIHOGNState:
-    """Brackets that are under way, and the `search` that they have in common.
+    """Active brackets, and their common `search`.
 
-    Of that, minima, their place in the books, the number of brackets and the end are those of all.
-    The next round of the bracket at position `arrived` is there, None while that is not known.
+    The minima of `search`, their records, the number of brackets and the end apply to all brackets.
+    `arrived` is the position of the bracket whose next round is complete, None while unknown.
     """
 
     search: MIHOGNState
@@ -66,30 +66,30 @@ class AsynchronousMIHOGNState:
 
 @dataclass(frozen=True)
 class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
-    """Several brackets of `MIHOGN` at a time, as many as keep the workers busy.
+    """`MIHOGN` with several brackets at a time, as many as keep the workers busy.
 
-    Each makes its phases in rounds of evaluations that do not depend on each other. The bracket
-    whose round is there first goes on; while fewer evaluations are under way than there are
-    workers, another one begins. They have the known minima, the stalled candidates and the evidence
-    in common, and the rule by which the search ends; what is then under way is given up.
+    Each bracket makes its phases in rounds of independent evaluations. The bracket whose round is
+    complete first continues. While there are fewer active evaluations than workers, another bracket
+    begins. Brackets share known minima, stalled candidates, evidence and the stopping rule; the end
+    of the search discards active brackets. The settings are the same as for `MIHOGN`.
 
-    What it decides depends on when several were under way and in which order rounds ended, and on
-    nothing else (`record.arrivals` repeats it). It makes one bracket after the other, as `MIHOGN`
-    does, with one worker, with residuals of the machine, where all parameters are linear, and as
-    long as evaluations are not known to be worth a worker each. It has the settings of `MIHOGN`.
+    The decisions depend only on when several brackets were active and on the order in which rounds
+    ended (`record.arrivals` repeats it). Brackets run one after the other, as in `MIHOGN`, with one
+    worker, with residuals of the machine, if all parameters are linear, and until evaluations are
+    known to be expensive enough for one worker each.
     """
 
     @cached_property
     def method(self) -> MIHOGN:
-        """The method that makes each bracket."""
+        """The method that runs each bracket."""
         return MIHOGN(**{setting.name: getattr(self, setting.name) for setting in fields(self)})
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> AsynchronousMIHOGNState:
-        """The state before the first look."""
+        """State before the first evaluation."""
         return AsynchronousMIHOGNState(self.method.start(oracle, rng))
 
     def step(self, state: AsynchronousMIHOGNState, oracle: Oracle) -> None:
-        """Make the round that ended first, and go on from there."""
+        """Process the round that ended first."""
         search = state.search
         if search.settings.compiled or search.linear or not search.level_rows[-1]:
             self.method.step(search, oracle)
@@ -99,7 +99,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
             state.arrived = self._next(state, oracle)
         bracket = state.brackets[state.arrived]
         bracket.make_round(oracle)
-        # The round counts: nothing raises from here on. Who was served is last in line.
+        # Nothing raises from here on. The bracket moves to the end of the queue.
         self._end_phases(bracket, oracle)
         state.brackets.append(state.brackets.pop(state.arrived))
         state.arrived, bracket.evaluations = None, oracle.evaluations
@@ -112,11 +112,11 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
             state.brackets = [bracket]
 
     def done(self, state: AsynchronousMIHOGNState) -> bool:
-        """After brackets whose ends are evidence enough, or after the last."""
+        """Whether the brackets are evidence enough, or their largest number is reached."""
         return state.search.finished
 
     def _next(self, state: AsynchronousMIHOGNState, oracle: Oracle) -> int:
-        """Have workers busy and wait: the position of a bracket, which learns what others found."""
+        """Keep workers busy and wait; return the position of the next bracket to advance."""
         search = state.search
         under_way = [bracket.begun(oracle) for bracket in state.brackets]
         polishes = any(bracket.state.phase == POLISH for bracket in state.brackets)
@@ -132,13 +132,13 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
             under_way.append(state.brackets[-1].begun(oracle))
         arrived = oracle.first_ready([r.ahead for r in under_way if r is not None])
         bracket = state.brackets[arrived]
-        # What others spent meanwhile is not what this bracket did.
+        # Evaluations of other brackets do not count for this one.
         bracket.state.spent_before += oracle.evaluations - bracket.evaluations
         bracket.state.learn(search)
         return arrived
 
     def _end_phases(self, bracket: BracketUnderWay, oracle: Oracle) -> None:
-        """Where no round is left, record that, until the bracket has closed or has other phases."""
+        """End phases that have no rounds left, until the bracket is closed or has other phases."""
         while bracket.round is None and not bracket.state.finished:
             self.method.end_phases(bracket.state, oracle)
             if bracket.state.phase == CLOSED:

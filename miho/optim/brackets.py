@@ -1,6 +1,6 @@
 """Brackets of successive halving over rows of data: settings, sizes and starts.
 
-What `MIHOGN` and `MIHOQN` share, whose descents differ in their steps.
+Shared by `MIHOGN` and `MIHOQN`, which differ in the steps of their descents.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from miho.validate import positive_settings, whole, whole_settings
 
 KINDS = "own", "scale", "uniform"
 TURNS = "thirds", "scale", "uniform", "own"
-"""The distributions of one bracket after the other: brackets that draw from different ones miss
-different basins, so that their agreement says more. The first hedges, by a third of each kind."""
+"""Distributions of consecutive brackets. Brackets with different distributions miss different
+basins, so that their agreement is stronger evidence. The first bracket draws a third from each
+kind."""
 DRAWS = "turns", "thirds", *KINDS
 DECADES = 3, 6, 3, 12
-"""A range that reaches to zero is drawn by scale over so many decades below its end, in the rounds
-of TURNS in turn. Three are enough for bounds that somebody thought of; bounds that mean none, such
-as 1e6 for a rate of 1, need more."""
+"""Decades below the end of a range that reaches zero, for draws by scale, in the rounds of TURNS in
+turn. Three are enough for well-chosen bounds; nominal bounds, for example 1e6 for a rate of 1, need
+more."""
 
 
 def check_brackets(method: Any) -> None:
-    """Raise ValueError unless the settings that all methods of such brackets have can be used."""
+    """Raise ValueError if a setting that all methods with brackets share is not possible."""
     whole("eta", method.eta, 2)
     whole_settings(method, ("least", "most", "steps", "lead", "brackets"), 1)
     positive_settings(
@@ -39,10 +40,14 @@ def check_brackets(method: Any) -> None:
 
 
 def luby(k: int) -> int:
-    """The k-th of 1 1 2 1 1 2 4 ..., the universal sequence of restarts, for k = 1, 2, ...
+    """Element k = 1, 2, ... of 1 1 2 1 1 2 4 ..., the universal sequence of restarts [1]_.
 
-    Whatever the best fixed length of a try is, tries of these lengths need no more than its
-    logarithm times as much (Luby, Sinclair and Zuckerman, Information Processing Letters 47, 1993).
+    Tries of these lengths need at most a logarithmic factor more than the best fixed length.
+
+    References
+    ----------
+    .. [1] M. Luby, A. Sinclair, D. Zuckerman, "Optimal speedup of Las Vegas algorithms",
+       Information Processing Letters 47 (1993) 173-180.
     """
     while True:
         digits = k.bit_length()
@@ -54,11 +59,10 @@ def luby(k: int) -> int:
 def rows_by_level(
     rows: int, d: int, *, per_parameter: float, eta: int, jump: float, enough: float = math.inf
 ) -> tuple[int, ...]:
-    """How many of the first rows each level looks at: `eta` times those before, the last at all.
+    """Number of first rows of each level: `eta` times the rows of the previous level, at last all.
 
-    The first has `per_parameter` rows for each of d parameters. The last follows on a level with
-    more than `enough` rows for each parameter, or where the next one would have more than the share
-    `jump` of all.
+    The first level has `per_parameter` rows for each of d parameters. A level after more than
+    `enough` rows for each parameter, or with more than the share `jump` of all rows, is the last.
     """
     level_rows = [min(rows, max(1, math.ceil(per_parameter * d)))]
     while level_rows[-1] < rows:
@@ -71,12 +75,12 @@ def rows_by_level(
 def draw_starts(
     space: Space, n: int, rng: np.random.Generator, bracket: int, draws: str = "turns"
 ) -> Array:
-    """Starts of a bracket in search coordinates, (n, d), led in the first by the common one.
+    """Starts of a bracket in search coordinates, (n, d).
 
-    `bracket` counts from 1. `draws` is the distribution: the space's `own`, which says where an
-    answer is expected; `scale` (see `by_scale`), for ranges that say no more than an order of
-    magnitude; `uniform`; `thirds` for each of them in turn; or `turns` for that of TURNS whose turn
-    it is.
+    `bracket` counts from 1; the first bracket begins with the common start. `draws` is the
+    distribution: "own" is the initial distribution of the space; "scale" is log-uniform in size
+    (see `by_scale`), for ranges that are only an order of magnitude; "uniform" fills the bounds;
+    "thirds" uses each of them in turn; "turns" chooses from TURNS by the number of the bracket.
     """
     low, high = space.bounds
     turn, place = divmod(bracket - 1, len(TURNS))
@@ -103,10 +107,10 @@ def draw_starts(
 
 
 def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
-    """Starts (n, d) that keep about half of the coordinates of the best minimum (d,), but not all.
+    """Starts (n, d) with about half of the coordinates of the best minimum (d,), but not all.
 
-    Which ones is drawn for each start. A minimum that has missed a peak or a period has the others
-    right: from there, the one that is missed is not far.
+    The coordinates are drawn for each start. A minimum that has missed one peak or period has the
+    others right, and the missing one is near such a start.
     """
     redrawn = rng.random(starts.shape) < 0.5
     one = rng.integers(starts.shape[1], size=len(starts))
@@ -115,12 +119,12 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
 
 
 def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
-    """Uniform shares u (n, d) of the ranges as shares whose sizes are log-uniform.
+    """Convert uniform shares u (n, d) of the ranges to shares whose sizes are log-uniform.
 
-    That is for parameters on the linear scale whose range spans zero, or more than a decade next to
-    it: sizes are then drawn from the last `decades` below each end, and both signs are equally
-    likely. Shares of any other range are given back as they are; so are those on the log scale,
-    which are log-uniform already.
+    This applies to parameters on the linear scale whose range contains zero, or covers more than a
+    decade. Sizes are then drawn from the last `decades` below each end, with equal probabilities of
+    both signs. Shares of other ranges stay the same, as on the log scale, which is log-uniform
+    already.
     """
     if decades not in space.scales:
         space.scales[decades] = np.array([_scale(p, decades) for p in space.parameters]).T
@@ -132,10 +136,12 @@ def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
 
 
 def _scale(parameter: Parameter, decades: int) -> tuple[float, ...]:
-    """How `by_scale` draws a parameter: whether it does; the share below which values are negative;
-    offset and slope of the share of the decades over that of the range; where the range begins, and
-    its width; the values nearest to zero, the negative one first, and the ratios of the farthest
-    ones to them.
+    """Constants of `by_scale` for a parameter.
+
+    They are: whether it is drawn by scale; the share below which values are negative; offset and
+    slope of the share of the decades over the share of the range; the lower bound and the width;
+    the values nearest to zero, the negative one first; and the ratios of the farthest values to
+    them.
     """
     low, high = parameter.low, parameter.high
     least = 10.0**-decades

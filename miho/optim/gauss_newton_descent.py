@@ -1,4 +1,4 @@
-"""One Gauss-Newton descent by the machine, from a start."""
+"""One Gauss-Newton descent from a start, on the machine."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 LOOKS = 100
-"""Looks at all rows between two chances for a Ctrl-C."""
+"""Evaluations of all rows between two checks for Ctrl-C."""
 
 
 def descended(rows: Rows, space: Space, start: Array) -> Array:
-    """Where a descent from `start` (d,) ends, by the steps of `MIHOGN` on all rows.
+    """End of a descent from `start` (d,), by the steps of `MIHOGN` on all rows.
 
-    It is the start where that has no finite residuals.
+    Returns the start if its residuals are not finite.
     """
     method, box, d, N = MIHOGNSettings(), box_of(space, ()), len(space), rows.y.size
     levels, place = np.array([N]), np.array([SCREEN, 0, 1, 1, 0])

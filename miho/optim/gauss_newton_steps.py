@@ -1,4 +1,4 @@
-"""The brackets of Gauss-Newton descents: by the machine, or evaluation by evaluation."""
+"""Brackets of Gauss-Newton descents, on the machine or evaluation by evaluation."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ from miho.parallel import Ahead
 from miho.quantities import Array, Integers
 
 EVENTS = 1024
-"""Looks at all rows in one block at most: each may be an improvement, which needs room."""
+"""Evaluations of all rows in one block, at most; each may be an improvement, which needs room."""
 
 
 def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
-    """Take a bracket to its end, by the machine if it can, and go on where it was cut off.
+    """Run a bracket to its end, on the machine if possible; continues an interrupted bracket.
 
     Raises as the oracle does at the end of the budget.
     """
-    # A problem that the machine cannot run is asked for each evaluation.
+    # Without the machine, the problem makes each evaluation.
     kernel = oracle.kernel
     rows = None if kernel is None else kernel.rows
     c, level_rows = state.candidates, state.level_rows
@@ -62,9 +62,9 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
     N, least = rows.y.size, state.blocks.least
     _, run, _, at, losses, thetas, room = state.blocks
 
-    # The oracle says how many evaluations a block may spend, and records what it did.
+    # The oracle limits the evaluations of a block, and records them.
     def block(most: float, best: float, target: float) -> Block:
-        limit = round(min(most, EVENTS) * N)  # most is of whole rows but for its rounding
+        limit = round(min(most, EVENTS) * N)  # a whole number of rows, up to rounding
         tally = np.zeros(5, np.int64)
         ended = run(
             *c[:3], state.stored, state.place, state.order, state.box,
@@ -95,7 +95,7 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
 
 
 def blocks_on(rows: Rows, state: MIHOGNState) -> Blocks:
-    """What the blocks of a search on these rows have in common."""
+    """Data shared by all blocks of a search on these rows."""
     d, levels, slope_cost = state.d, state.level_rows, state.settings.slope_cost
     stored = [m for m in levels.tolist() if (d + 1) * m <= state.settings.room]
     room = np.empty(room_for(d, max([CHUNK, *stored]), levels.size))
@@ -105,17 +105,17 @@ def blocks_on(rows: Rows, state: MIHOGNState) -> Blocks:
 
 
 class Round(NamedTuple):
-    """Evaluations that do not depend on each other, about so many, which workers begin `ahead`."""
+    """Independent evaluations, about this number, which workers start `ahead`."""
 
     evaluations: int
     ahead: Ahead
 
 
 def rounds(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
-    """Take a bracket to its end with each evaluation made by the problem, round by round.
+    """Run a bracket to its end round by round, with evaluations by the problem.
 
-    A round is yielded when it has begun, and made when the next is asked for. Where that raises, it
-    goes on with new rounds from the state that is left.
+    Yields a round when it has started; the request for the next one makes it. If this raises, new
+    rounds continue from the state that is left.
     """
     c, place, level_rows = state.candidates, state.place, state.level_rows
     yield from _rounds_of_phase(oracle, state)
@@ -126,7 +126,7 @@ def rounds(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
 
 
 def _rounds_of_phase(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
-    """Give each candidate its steps: one evaluation of each that needs one is a round."""
+    """Give each candidate its steps; a round has one evaluation of each that needs one."""
     box, level_rows, active = state.box, state.level_rows, int(state.place[ACTIVE])
     rules = rules_of(state.place, level_rows, state.d, state.settings)
     d, m = state.d, state.rows
@@ -134,7 +134,7 @@ def _rounds_of_phase(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
     size, with_derivatives = int(state.place[SIZE]), int(state.place[STORED])
     c = state.candidates.with_derivatives(state.stored, size, with_derivatives)
     fidelity = 1.0 if rules.last else m / int(level_rows[-1])
-    # All that enter a level are looked at in one batch: models that work on arrays are faster so.
+    # Candidates that enter a level form one batch, which is faster for models on arrays.
     if not (rules.last and rules.steps):
         index, thetas = np.empty(active, np.int64), np.empty((active, d))
         count = entering(c, active, box, index, thetas)
@@ -164,7 +164,7 @@ def _begin_ahead(
     needs: Sequence[tuple[int, Array]],
     box: GNBox,
 ) -> Round:
-    """Have workers begin what candidates need at some configurations, by their position."""
+    """Start evaluations on workers that candidates, by position, need at configurations."""
     looks: list[Array] = []
     slopes: list[Array] = []
     for i, theta in needs:
@@ -189,7 +189,7 @@ def _evaluate(
     rules: GNRules,
     w: Work,
 ) -> None:
-    """Make the evaluation that candidate i needs next, at w.theta, and move it on."""
+    """Make the next evaluation of candidate i, at w.theta, and advance it."""
     box, m, stage = state.box, state.rows, c.stage[i]
     project = bool(c.projects[i]) and stage != RECORD
     cost = box.linear.size + 1 if project else 1
@@ -226,7 +226,7 @@ def _evaluate_entering(
     rules: GNRules,
     w: Work,
 ) -> None:
-    """Look at the candidates `index` (k,) that enter a level at thetas (k, d)."""
+    """Evaluate the candidates `index` (k,) that enter a level at thetas (k, d)."""
     m = int(level_rows[rules.level])
     while index.size:
         r = oracle.residual_rows(thetas, fidelity)
@@ -249,7 +249,7 @@ def _hand_over(
     rules: GNRules,
     w: Work,
 ) -> None:
-    """Hand the residuals r (k, m) of the candidates `index` (k,) to the steps."""
+    """Pass the residuals r (k, m) of the candidates `index` (k,) to the steps."""
     r = np.array(r, dtype=float, order="C")
     in_order = r if fidelity < 1.0 or oracle.order is None else np.take(r, oracle.order, axis=1)
     after_evaluations(c, index, r, in_order, box, level_rows, rules, oracle.best, w)
@@ -258,9 +258,9 @@ def _hand_over(
 def _evaluate_slopes(
     oracle: Oracle, fidelity: float, c: GNCandidates, i: int, box: GNBox, m: int, w: Work
 ) -> None:
-    """Evaluate the derivatives where candidate i is, in the columns that `take_factor` expects.
+    """Evaluate the derivatives at candidate i, in the column order of `take_factor`.
 
-    Without room for them its residuals are evaluated again, and nothing is stored.
+    Without room for them the residuals are evaluated again, and nothing is stored.
     """
     d, theta = c.x.shape[1], w.theta.copy()
     width = box.width * np.where(box.log, theta, 1.0)
@@ -285,9 +285,9 @@ def _evaluate_projected(
     level_rows: Integers,
     w: Work,
 ) -> float:
-    """The loss at the best linear parameters for w.theta, infinite if unusable.
+    """Loss at the best linear parameters for w.theta, infinite if unusable.
 
-    The residuals at that solution are left in w.residuals. Costs p + 1 evaluations.
+    Leaves the residuals of that solution in w.residuals. Costs p + 1 evaluations.
     """
     theta, r = w.theta.copy(), w.residuals
     r[:] = oracle.residuals(theta, fidelity)
@@ -306,9 +306,9 @@ def _evaluate_projected(
 
 
 def _probe(theta: Array, k: int, box: GNBox) -> Array:
-    """The configuration whose residuals tell of the linear parameter k.
+    """Configuration that determines the effect of the linear parameter k.
 
-    As far away as the box allows: the wider a difference, the more exact.
+    It is as far away as the bounds allow: a wide difference is more accurate.
     """
     probe, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
     probe[k] = box.high[k] if up else box.low[k]

@@ -1,4 +1,4 @@
-"""The parameters in which residuals are linear, solved for while the others are held."""
+"""Solution for the parameters in which the residuals are linear, with the others fixed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its packages at their first use; importing them here takes a second
 
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -14,11 +14,10 @@ from miho.quantities import Array
 
 @dataclass(frozen=True, eq=False)
 class LinearPart:
-    """The best configuration theta (d,) with the other parameters fixed, and its linear model.
+    """Best configuration theta (d,) with the other parameters fixed, and its linear model.
 
-    `residuals` (m,) are those at `theta`. `basis` (m, p) holds the derivatives of the residuals
-    with respect to those linear parameters that are not at a bound, each divided by its norm: the
-    residuals are orthogonal to it.
+    `residuals` (m,) are at `theta`. `basis` (m, p) has the derivatives with respect to the linear
+    parameters off the bounds, each divided by its norm; the residuals are orthogonal to it.
     """
 
     theta: Array
@@ -26,7 +25,7 @@ class LinearPart:
     basis: Array
 
     def outside(self, columns: Array) -> Array:
-        """The part of columns (m, k) that is orthogonal to the basis, (m, k)."""
+        """Part of columns (m, k) that is orthogonal to the basis, (m, k)."""
         if not self.basis.shape[1]:
             return columns
         return np.asarray(columns - self.basis @ np.linalg.lstsq(self.basis, columns)[0])
@@ -37,13 +36,17 @@ def solve_linear_part(
 ) -> LinearPart | None:
     """Minimise the sum of squared residuals over the parameters at the positions `linear`.
 
-    `theta` (d,) is in the space, and so is every configuration evaluated. For p linear parameters
-    these are p + 2: theta; one more for each of them, as far away as the box allows, because
-    differences of a linear function are the more exact the wider they are; and the solution. That
-    is the one of ordinary least squares if it lies in the box, else of bounded-variable least
-    squares (SciPy, bvls), after one step of iterative refinement (Björck, Numerical Methods for
-    Least Squares Problems, 1996, section 2.9), which regains from the residuals at the solution
-    what the differences lost to rounding. None if a residual is not finite.
+    `theta` (d,) and all evaluated configurations are within the bounds. For p linear parameters
+    there are p + 2 evaluations: theta; one for each parameter, as far away as the bounds allow,
+    because wide differences of a linear function are more accurate; and the solution. It is the
+    ordinary least-squares solution if this is within the bounds, else bounded-variable least
+    squares (SciPy, bvls), after one step of iterative refinement [1]_, which recovers from the
+    residuals at the solution the digits that the differences lost to rounding. None if a residual
+    is not finite.
+
+    References
+    ----------
+    .. [1] Å. Björck, Numerical Methods for Least Squares Problems, SIAM (1996), section 2.9.
     """
     # The residuals as an offset plus a combination of the columns of the basis.
     theta = theta.copy()
@@ -61,7 +64,7 @@ def solve_linear_part(
     # Solve with columns of norm 1.
     largest = np.abs(basis).max(axis=0, initial=0.0)
     largest[largest == 0] = 1.0
-    norm = largest * np.linalg.norm(basis / largest, axis=0)  # of 1e200 too, without overflow
+    norm = largest * np.linalg.norm(basis / largest, axis=0)  # no overflow at 1e200
     norm[norm == 0] = 1.0
     low, high = space.low[index], space.high[index]
     basis = basis / norm

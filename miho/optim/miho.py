@@ -50,7 +50,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
     The default settings follow the paper as printed. A fresh configuration costs one evaluation
     before its mutations; the loss of a survivor is known and costs nothing. All configurations of a
     rung mutate together: a batch has one mutation of each. The search ends after the last bracket.
-    For new problems prefer `MIHOGN`, which needs far fewer evaluations.
+    In practice prefer `MIHOGN` or `MIHOQN`, which need far fewer evaluations.
 
     Parameters
     ----------

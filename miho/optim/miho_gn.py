@@ -1,4 +1,4 @@
-"""Hyperband over Gauss-Newton steps on growing data."""
+"""MIHO-GN: Hyperband over Gauss-Newton steps, on growing subsets of the data."""
 
 from __future__ import annotations
 
@@ -30,30 +30,121 @@ from miho.optim.oracle import Oracle
 from miho.optim.zero import EPSILON, is_rounding, is_zero
 
 SOLVED_FIRST = 9
-"""A problem that is linear in all parameters is solved on one row in so many, then on all."""
+"""A problem that is linear in all parameters is solved on one row in this number, then on all
+rows."""
 MOST = 3 / 4
-"""The share of the ends with a known loss that a doubtful optimum needs: where optima were wrong on
-families of peaks and periods (`experiments.check.false_ends`) it was 0.4 to 0.7."""
+"""Share of the ends with a known loss that a doubtful optimum needs. For wrong optima on families
+of peaks and periods (`experiments.check.false_ends`) it was 0.4 to 0.7."""
 ATTEMPTS = 1000
-"""Looks for a usable configuration of a problem that does not say how many rows it has."""
+"""Attempts to find a usable configuration of a problem with an unknown number of rows."""
 
 
 @dataclass(frozen=True)
 class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
-    """Brackets of successive halving whose survivors descend, on ever more rows of the data.
+    """Multistart Gauss-Newton search in brackets of successive halving, on growing data.
 
-    `MIHOGNSettings` says how. Needs a least-squares problem. Uses residuals and derivatives of its
-    first rows, if it can give them, and those of the machine, if it runs the model.
+    The default method of `miho.fit`; needs a `LeastSquaresProblem`. A bracket draws starting
+    points, evaluates them on the first rows of the data and keeps the best. Each rung makes some
+    Levenberg-Marquardt steps and passes the best candidates on to the next rung, which uses more
+    rows, until one candidate descends on all rows. The search ends when enough brackets agree on
+    the best optimum (`miho.optim.evidence`); then a descent from it gains the last digits. A
+    problem that is linear in all parameters is solved directly.
+
+    An optimum needs more agreement if it is at a bound, if the data do not determine all
+    parameters, if its loss exceeds the noise, or if its residuals have structure
+    (`miho.optim.structure`). If the loss of an optimum is zero up to rounding (`miho.optim.zero`),
+    one bracket is enough.
+
+    Parameters
+    ----------
+    eta : int, optional
+        One candidate in `eta` continues on the next rung (η), with `eta` times as many rows.
+    rows : float, optional
+        Rows of the first level, for each parameter.
+    jump : float, optional
+        A level with more than this share of all rows uses all rows.
+    enough : float, optional
+        A level after more than this number of rows for each parameter uses all rows.
+    base, largest : float, optional
+        Cost of a rung in units of d + 1 evaluations: `base` times Luby's sequence, at most
+        `largest`.
+    least, most : int, optional
+        Smallest and largest number of starting points of a bracket.
+    steps : int, optional
+        Steps of each candidate on a rung.
+    lead : int, optional
+        Steps of the best candidate on a rung, at most.
+    damping : float, optional
+        Initial damping (Nielsen's μ), relative to the scale of each parameter.
+    fading : float, optional
+        Smallest factor by which a scale decreases from step to step, in every second bracket. In
+        the other brackets scales never decrease, which large residuals need.
+    reach : float, optional
+        Longest step along a coordinate, as a share of the width of the bounds.
+    secants : int, optional
+        Largest number of consecutive Broyden updates between evaluations of the derivatives.
+    projecting : int, optional
+        One bracket in this number solves for the linear parameters at every evaluation (variable
+        projection); 0 for none.
+    draws : {"turns", "thirds", "own", "scale", "uniform"}, optional
+        Distribution of starting points, see `miho.optim.brackets.draw_starts`.
+    tolerance : float, optional
+        A descent has converged if its linear model predicts a relative decrease of the loss below
+        this.
+    level_tolerance : float, optional
+        The same on m rows, fewer than all, in units of d / m, which noise hides.
+    digits : float, optional
+        The same for the final descent from the best optimum.
+    patience, progress : float, optional
+        A descent is set aside if its loss decreases by less than the share `progress` in
+        `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
+    doubtful : int, optional
+        Number of agreeing brackets, and three quarters of the brackets with a known loss, that a
+        doubtful optimum needs; half of it if only the residuals have structure, twice if the
+        optimum may be a plateau.
+    longer : float, optional
+        The search for a doubtful optimum takes at least this multiple of the evaluations that
+        found it.
+    challenges : int, optional
+        Brackets that start near the best optimum, at some of its coordinates, and must fail to find
+        a better one before the search ends.
+    brackets : int, optional
+        Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not possible.
+    TypeError
+        If the problem has no residuals.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> class Line(miho.LeastSquaresProblem):
+    ...     name = "line"
+    ...     space = miho.Space((miho.Parameter("a", "", -9, 9), miho.Parameter("b", "", -9, 9)))
+    ...     x = np.linspace(0, 1, 20)
+    ...     def residuals(self, theta, fidelity=1.0):
+    ...         return theta[0] * np.exp(theta[1] * self.x) - 2 * np.exp(self.x)
+    ...     def jacobian(self, theta, fidelity=1.0):
+    ...         e = np.exp(theta[1] * self.x)
+    ...         return np.stack([e, theta[0] * self.x * e], axis=1)
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return np.array([np.mean(self.residuals(theta) ** 2) for theta in thetas])
+    >>> miho.minimize(miho.MIHOGN(), Line()).theta.round(4)
+    array([2., 1.])
     """
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
-        """The state before the first look."""
+        """State before the first evaluation."""
         space, N = oracle.space, oracle.rows
         box = box_of(space, oracle.linear)
         level_rows: tuple[int, ...] = (0,)
         if N is not None:
             level_rows = self._levels(N, box)
-            if oracle.cost(level_rows[0] / N) >= 1:  # fewer rows are not cheaper
+            if oracle.cost(level_rows[0] / N) >= 1:  # fewer rows cost the same
                 level_rows = level_rows[-1:]
         oracle.meter.starts.brackets = True
         nobody, nowhere = GNCandidates.at(np.empty((0, len(space))), 0, 0, 0, False), np.empty(0)
@@ -87,11 +178,11 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         )
 
     def done(self, state: MIHOGNState) -> bool:
-        """After brackets whose ends are evidence enough, or after the last."""
+        """Whether the brackets are evidence enough, or their largest number is reached."""
         return state.finished
 
     def step(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Make the evaluations of one phase, and go on to the next."""
+        """Make the evaluations of one phase, and move to the next."""
         if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
@@ -106,7 +197,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         self.end_phases(state, oracle)
 
     def end_phases(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Record how a bracket has ended; then it is closed, or goes on with other phases."""
+        """Record the end of a bracket; then close it, or continue with other phases."""
         endings = {
             EMPTY: self._close,
             RETURNED: self._after_return,
@@ -118,7 +209,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         endings[state.phase](state, oracle)
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Look once at all residuals of a problem that does not say how many there are."""
+        """Evaluate all residuals once, to learn their number."""
         theta = state.space.decode(state.space.initial(state.attempts + 1))[-1]
         with contextlib.suppress(UnusableValueError):
             state.level_rows[:] = oracle.residuals(theta).size
@@ -128,7 +219,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     # The phases of a bracket.
 
     def begin_bracket(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Begin a bracket: say what it may cost, and draw its starts."""
+        """Begin a bracket: determine its budget, and draw its starts."""
         state.bracket += 1
         state.challenging = state.challenged
         projects = state.linear or self._projects(state)
@@ -137,7 +228,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
         state.settings = state.settings._replace(projects=projects, rung_budget=float(budget))
         state.spent_before = oracle.evaluations
-        # Its starts, to be looked at on the first level.
+        # Its starts, to be evaluated on the first level.
         n = min(max(round(budget / look_cost), self.least), self.most)
         n = 1 if state.linear else n
         starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
@@ -152,15 +243,15 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
-        """Whether this bracket projects: one in `projecting`, and the first if that halves it."""
+        """Whether this bracket projects: one in `projecting`, and the first if that halves d."""
         linear = state.box.linear.size
         halves = state.bracket == 1 and 2 * linear >= state.d
         return bool(linear and self.projecting) and (halves or state.bracket % self.projecting == 0)
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Revive the best candidate that stalled in an earlier bracket, if there is any.
+        """Revive the best candidate that stalled in an earlier bracket, if there is one.
 
-        It may spend as much as this bracket has.
+        It may use as much as this bracket.
         """
         earlier = state.stalled.copy()
         self._record_end(state, oracle)
@@ -175,19 +266,19 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             begin(state.candidates, state.place, REVIVE, 1)
 
     def _after_revival(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Record its end, as that of a bracket."""
+        """Record the end of a revived candidate, as the end of a bracket."""
         self._record_end(state, oracle)
         self._close(state, oracle)
 
     def _record_end(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Record how the last candidate of a bracket has ended: known, new, stalled or unusable."""
+        """Record the end of a bracket's last candidate: known, new, stalled or unusable."""
         c = state.candidates
         loss, best = float(c.loss[0]), float(state.minima.loss.min(initial=math.inf))
         better = not in_optimum(loss, best, oracle.resolution)
         if c.stage[0] == AT_KNOWN:
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
-            if better:  # it has to pass anew
+            if better:  # challenges start again
                 state.best_found_after = oracle.evaluations
                 state.passed, state.challenging = 0, False
             if not state.challenging:
@@ -195,21 +286,22 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE and (better or not state.challenging):
-            state.stalled.append(c.first())  # that of a challenge is no evidence if it comes back
+            state.stalled.append(c.first())  # one from a challenge is no evidence if it returns
 
     def _after_return(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Record the bracket's end."""
+        """Record the end of a bracket without a new optimum."""
         self._record_return(state, oracle)
         self._close(state, oracle)
 
     def _record_return(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the end of a bracket whose best candidate leads to nothing new.
 
-        It came to a known minimum, or is done and no better than one. On fewer rows than all, one
-        that is done is at a minimum that the data do not determine if it is near it, as far as
-        these rows can tell; else it is not known where it would have ended on all rows.
+        The candidate came to a known minimum, or it converged and is no better than one. If it
+        converged on fewer than all rows, it belongs to the nearest minimum that the data do not
+        determine, if these rows cannot distinguish the two; otherwise its end on all rows is
+        unknown.
         """
-        if state.challenging:  # it started near the best one: to come back says nothing
+        if state.challenging:  # it started near the best minimum: a return is no evidence
             return
         c, known = state.candidates, state.minima
         loss, came_back = float(c.loss[0]), c.stage[0] == AT_KNOWN
@@ -222,7 +314,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if not came_back:
             matches &= loss <= (1 + COPY_LOSS) * level_losses
         places = matches.nonzero()[0]
-        if places.size > came_back:  # the only one that it came back to needs no distance
+        if places.size > came_back:  # a single candidate minimum needs no distance
             distances = square_distances(c, known.x[places], state.box)
             within = came_back | (distances <= near * loss * state.rows)
             places = places[within][np.argsort(distances[within], kind="stable")]
@@ -234,10 +326,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             oracle.record_dropped()
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """End the bracket, and the search if the ends of its brackets are evidence enough.
+        """Close the bracket, and end the search if the ends of brackets are evidence enough.
 
-        Before that, the best minimum is challenged: by brackets that start at some of its
-        coordinates, and are no evidence unless they find a better one.
+        Before the search ends, brackets that start at some coordinates of the best minimum
+        challenge it. They count as evidence only if they find a better one.
         """
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False
@@ -251,13 +343,13 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             self._polish(state, oracle)
 
     def _credible(self, state: MIHOGNState, oracle: Oracle, agreement: Agreement) -> bool:
-        """Whether the ends that agree on the best minimum are to be believed.
+        """Whether the agreement on the best minimum can be trusted.
 
-        They are if the data determine it, and it leaves nothing but noise. A doubtful one needs
-        more ends, most of those whose loss is known, and a longer search; half as many ends do
-        where only its residuals have structure. One that is neither determined nor noise, off the
-        bounds, may be a plateau: it needs twice as many, by which starts by scale have been drawn
-        from all of DECADES.
+        It can if the data determine the minimum and only noise is left. A doubtful minimum needs
+        more agreeing ends, most of the ends with a known loss, and a longer search; half of these
+        ends are enough if only its residuals have structure. A minimum off the bounds that is
+        neither determined nor noise may be a plateau and needs twice as many, by which time starts
+        by scale have been drawn from all of DECADES.
         """
         known, best = state.minima, state.best_minimum
         determined, noise = bool(known.determined[best]), self._leaves_noise(state, oracle)
@@ -272,9 +364,9 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         return enough and oracle.evaluations >= self.longer * state.best_found_after
 
     def _leaves_noise(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the best minimum's loss is no more than noise, and its residuals look like it.
+        """Whether the best minimum's loss is at most noise, and its residuals look like noise.
 
-        As long as they are not tested they are taken to.
+        Untested residuals count as noise.
         """
         loss = float(state.minima.loss[state.best_minimum])
         if loss > oracle.noise or loss <= oracle.resolution:
@@ -282,16 +374,16 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         return not (self._tested(state, oracle) and state.structured)
 
     def _tested(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether it is known if residuals have structure at the best minimum, or does not matter.
+        """Whether the residuals at the best minimum have been tested for structure, if needed.
 
-        It does not where its loss says enough.
+        The test is not needed if the loss alone decides.
         """
         loss = float(state.minima.loss[state.best_minimum])
         known = in_optimum(loss, state.tested, oracle.resolution)
         return known or loss > oracle.noise or loss <= oracle.resolution
 
     def test(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Look for structure in the residuals of an optimum that is about to be challenged."""
+        """Test the residuals of an optimum for structure before it is challenged."""
         if state.challenged and not self._tested(state, oracle):
             best = state.best_minimum
             state.structured = oracle.structured(state.theta(state.minima.x[best]))
@@ -299,10 +391,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             state.challenged = not state.structured
 
     def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the best of the new minima solves a system of equations, to rounding.
+        """Whether the best new minimum solves a system of equations, up to rounding.
 
-        Costs one look at the residuals and their derivatives, where the loss is rounding next to
-        the first one of the run.
+        Costs one evaluation of residuals and derivatives if the loss is rounding relative to the
+        first loss of the run.
         """
         new = state.minima.loss[state.judged :]
         if oracle.rounding > 0 or not new.size or new.min() > EPSILON * oracle.trace.loss[0]:
@@ -319,7 +411,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         return zero
 
     def _polish(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Descend from the run's best for more digits than it took to tell minima apart."""
+        """Descend from the best configuration of the run to the last digits."""
         state.finished = not math.isfinite(oracle.best)
         if state.finished:
             return
@@ -331,7 +423,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         begin(state.candidates, state.place, POLISH, 1)
 
     def _end(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """End the search, polished or solved: then nothing descended, and nothing has to agree."""
+        """End the search, after the final descent or a linear solution."""
         state.finished = True
 
 

@@ -1,4 +1,4 @@
-"""Where a search of `MIHOGN` stands, and how its candidates compare with known minima."""
+"""State of a search by `MIHOGN`, and comparison of its candidates with known minima."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from miho.quantities import Array, Integers
 
 
 class Blocks(NamedTuple):
-    """What all compiled blocks of a search have in common.
+    """Data shared by all compiled blocks of a search.
 
-    `run` is that of these rows, and may need `least` evaluations for its next step. There is room
-    for the improvements of one block, and for steps to be worked out in.
+    `run` is the machine's loop for these rows; its next step may need `least` evaluations. The
+    arrays take the improvements of one block, and `room` the work of steps.
     """
 
     rows: Rows
@@ -44,18 +44,29 @@ class Blocks(NamedTuple):
 
 @dataclass
 class MIHOGNState:
-    """Where the search stands: its bracket, and the known minima.
+    """State of the search: the current bracket, and the known minima.
 
-    `place` (5,) is where the bracket stands, `settings` how it goes on, `order` (n,) and `stored`
-    room for the positions of its `candidates` and for their derivatives. `level_rows` (levels,):
-    how many rows each level looks at, all of them on the last (0 as long as that is not known,
-    after so many `attempts` to find out). Where residuals come from Python candidates are evaluated
-    in turn, now the one at position `turn`. The best of the `minima` was found after
-    `best_found_after` evaluations. `stalled` are candidates that made too little progress, one
-    each; before the bracket, `spent_before` evaluations were spent. The first `judged` minima are
-    known not to be zero to rounding. The best minimum has `passed` so many challenges; it is
-    `challenged` by the next bracket, or the one under way is `challenging`. Whether residuals are
-    `structured` is known of the minimum whose loss is `tested`.
+    Attributes
+    ----------
+    level_rows : ndarray of shape (levels,)
+        Rows of each level, all rows on the last; 0 until known, after `attempts` to count them.
+    candidates, place, order, stored
+        Candidates of the bracket, its position (5,), and room for an order and for derivatives.
+    stalled : list of GNCandidates
+        Candidates that were set aside, one each.
+    bracket, spent_before : int, float
+        Number of the bracket, and evaluations before it.
+    best_found_after : float
+        Evaluations after which the best of `minima` was found.
+    turn : int
+        Position of the candidate that is evaluated next, if residuals come from Python.
+    judged : int
+        Number of the first minima that are known not to be zero up to rounding.
+    passed, challenged, challenging : int, bool, bool
+        Challenges that the best minimum has passed, whether the next bracket challenges it, and
+        whether the current one does.
+    tested, structured : float, bool
+        Loss of the minimum whose residuals were tested, and whether they have structure.
     """
 
     space: Space
@@ -84,32 +95,32 @@ class MIHOGNState:
     blocks: Blocks | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but its blocks, which hold addresses of this process."""
+        """All fields but `blocks`, which has addresses of this process."""
         return vars(self) | {"blocks": None}
 
     @property
     def best_minimum(self) -> int:
-        """The position of the best known minimum."""
+        """Position of the best known minimum."""
         return int(np.argmin(self.minima.loss))
 
     @property
     def d(self) -> int:
-        """The number of parameters."""
+        """Number of parameters."""
         return len(self.space)
 
     @property
     def phase(self) -> int:
-        """The bracket's phase."""
+        """Phase of the bracket."""
         return int(self.place[PHASE])
 
     @property
     def rows(self) -> int:
-        """How many rows this level looks at."""
+        """Number of rows of this level."""
         return int(self.level_rows[self.place[LEVEL]])
 
     @property
     def last(self) -> bool:
-        """Whether that is all rows."""
+        """Whether this level uses all rows."""
         return bool(self.place[LEVEL] == self.level_rows.size - 1)
 
     @property
@@ -119,19 +130,19 @@ class MIHOGNState:
 
     @property
     def level_losses(self) -> Array:
-        """The losses of the known minima over the rows of this level, (k,)."""
+        """Losses of the known minima over the rows of this level, (k,)."""
         return np.asarray(self.minima.sums[:, self.place[LEVEL]] / self.rows)
 
     def theta(self, x: Array) -> Array:
-        """The parameters in units (d,) at a place x (d,) of the box."""
+        """Parameters in units (d,) at unit coordinates x (d,)."""
         return np.asarray(self.space.decode((self.box.origin + self.box.width * x)[None])[0])
 
     def close(self) -> None:
-        """Have no bracket, until the next is drawn."""
+        """Mark the bracket as closed."""
         self.place[PHASE] = CLOSED
 
     def admit(self, c: GNCandidates, level: int) -> None:
-        """Have candidates of a new bracket, or one that goes on alone, on this level."""
+        """Set the candidates, of a new bracket or a single one, on this level."""
         n, d = c.x.shape
         self.candidates, self.order = c, np.empty(n, np.int64)
         self.place[:] = SCREEN, level, n, n, 0
@@ -141,9 +152,9 @@ class MIHOGNState:
             self.stored = np.zeros(numbers)
 
     def learn(self, other: MIHOGNState) -> None:
-        """Know the minima that another bracket knows, and what is known of the best one.
+        """Take over the minima of another bracket, and the knowledge of the best one.
 
-        Where that is another one than this bracket has known, it is none that this one challenges.
+        If its best minimum is a different one, this bracket no longer challenges it.
         """
         self.challenging &= self.best_found_after == other.best_found_after
         self.minima, self.best_found_after = other.minima, other.best_found_after
@@ -151,7 +162,7 @@ class MIHOGNState:
         self.tested, self.structured = other.tested, other.structured
 
     def add_minimum(self, c: GNCandidates) -> None:
-        """Remember where the first candidate has ended as a known minimum."""
+        """Add the end of the first candidate to the known minima."""
         loss, known = float(c.loss[0]), self.minima
         sums = c.sums[:1] if c.sums[0, -1] > 0 else loss * self.level_rows[None]
         new = c.x[:1], [loss], sums, [determines(c, self.box, self.rows)]
@@ -160,9 +171,9 @@ class MIHOGNState:
 
 @lru_cache(maxsize=256)
 def room_for_derivatives(levels: tuple[int, ...], n: int, d: int, eta: int, most: int) -> int:
-    """How many numbers derivatives of n candidates, and of those that go on, have on these levels.
+    """Numbers to store derivatives of n candidates, and of their survivors, on these levels.
 
-    That is up to `most`, and none on a level where those of one candidate are more.
+    At most `most`; 0 on a level where one candidate needs more.
     """
     numbers = 0
     for rows in levels:
@@ -173,7 +184,7 @@ def room_for_derivatives(levels: tuple[int, ...], n: int, d: int, eta: int, most
 
 
 def box_of(space: Space, linear: tuple[str, ...]) -> GNBox:
-    """The box of a space whose residuals are linear in these parameters."""
+    """Box of a space whose residuals are linear in these parameters."""
     low, high = space.bounds
     names = space.names
     return GNBox(
@@ -190,8 +201,8 @@ def box_of(space: Space, linear: tuple[str, ...]) -> GNBox:
 def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
     """|R (x - x*)|^2 from the first candidate to minima x* (k, d), (k,).
 
-    That is the metric in which steps recognise a known minimum: by how much the residuals of the
-    candidate's linear model change on the way there.
+    Steps recognise a known minimum in this metric: the change of the residuals in the linear model
+    of the candidate.
     """
     apart, R = c.x[0] - minima, c.R[0]
     if c.projects[0]:
@@ -201,18 +212,18 @@ def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
 
 
 def at_bound(x: Array) -> bool:
-    """Whether a configuration (d,) in shares of the widths is at a bound, where steps hold it.
+    """Whether a configuration (d,) in unit coordinates is at a bound, where steps fix it.
 
-    In a box of a billion times the answer, that is a billionth of the width from a bound.
+    In bounds a billion times as wide as the answer, the tolerance is a billionth of the width.
     """
     return bool((x <= INSIDE).any() or (x >= 1 - INSIDE).any())
 
 
 def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
-    """Whether m rows of data determine each parameter where the first candidate is.
+    """Whether m rows of data determine each parameter at the first candidate.
 
-    They do if it is off the bounds, and its standard deviation, by the linear model there, is less
-    than its range.
+    They do if it is off the bounds, and if its standard deviation in the linear model is less than
+    its range.
     """
     if at_bound(c.x[0]):
         return False
@@ -221,5 +232,5 @@ def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
     if not np.diag(R).all():
         return False
     deviation = math.sqrt(c.loss[0] * m / max(m - n, 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # NaN and infinity are no such deviations
+    with np.errstate(over="ignore", invalid="ignore"):  # NaN and infinity compare as false
         return bool((np.linalg.norm(np.linalg.inv(R), axis=1) * deviation <= 1).all())

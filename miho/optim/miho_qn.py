@@ -1,4 +1,4 @@
-"""Hyperband over quasi-Newton steps on growing data, from losses alone."""
+"""MIHO-QN: Hyperband over quasi-Newton steps from losses alone, on growing subsets of the data."""
 
 from __future__ import annotations
 
@@ -38,41 +38,79 @@ from miho.quantities import Array
 from miho.validate import positive_settings, whole_settings
 
 LITTLE = 1e-6
-"""A simplex that gains less than this share of a loss was the last one."""
+"""A simplex that decreases the loss by less than this share is the last."""
 SHARP = 1e-3
 """A curvature that alone would double the loss within this share of a width may be a kink."""
 REENTRY = 0.05
-"""The least radius at the start of a level and after a simplex, whatever failed before."""
+"""Smallest radius at the start of a level and after a simplex."""
 
 
 @dataclass(frozen=True)
 class MIHOQN(AskTell[MIHOQNState]):
-    """Brackets of successive halving whose survivors descend, on ever more rows of the data.
+    """Multistart quasi-Newton search in brackets of successive halving, from losses alone.
 
-    A bracket looks at configurations on the first rows of the data, `rows` for each parameter, and
-    keeps the best. Each rung gives its candidates `steps` quasi-Newton steps, the best of them up
-    to `lead`, and hands the best one in `eta` on to the next, with `eta` times as many rows, until
-    the last candidate goes to its end on all rows. A level that would have more than the share
-    `jump` of all rows has all of them; so has one after more than `enough` rows for each parameter,
-    and so have all levels of a problem that does not say how many rows it has. A rung costs about
-    `base` (d + 1) evaluations times Luby's sequence, at most `largest` (d + 1); a bracket begins
-    with `least` to `most` configurations.
+    For problems without residuals, or with a loss that is not smooth. It shares brackets, levels
+    and the stopping rule with `MIHOGN`. Slopes and curvatures are finite differences of losses on
+    the rows of a rung, and are kept on the next level: the first curvatures are along the
+    coordinates, later ones are BFGS updates. A candidate that continues alone has its Hessian
+    measured: the best of a rung at once, others before they count as converged. If no step helps,
+    as at a kink, a Nelder-Mead simplex takes over, and steps continue if it makes progress.
 
-    Slopes and curvatures are differences of losses on the rung's rows, and are taken along to the
-    next level: the first curvatures are those along the coordinates, later ones BFGS updates. A
-    candidate that goes on alone has its Hessian measured: the best one of a rung at once, others
-    before they count as done; and again where a step did not go as predicted, after `refresh` times
-    as many evaluations as that takes. Up to `guesses` steps in a row rely on slopes that the model
-    predicts. Steps stay within `radius` of the widths along each coordinate. A descent is done
-    where its model predicts a gain below the share `tolerance` of the loss; on m rows, fewer than
-    all, below `level_tolerance` d / m, which so few do not tell from noise. Kinks stop such steps:
-    where none helps, a simplex with edges of `edge` of the widths has up to `polish` d evaluations,
-    and if it makes progress, steps go on.
+    Parameters
+    ----------
+    eta : int, optional
+        One candidate in `eta` continues on the next rung (η), with `eta` times as many rows.
+    rows : float, optional
+        Rows of the first level, for each parameter.
+    jump : float, optional
+        A level with more than this share of all rows uses all rows, as do all levels of a problem
+        with an unknown number of rows.
+    enough : float, optional
+        A level after more than this number of rows for each parameter uses all rows.
+    base, largest : float, optional
+        Cost of a rung in units of d + 1 evaluations: `base` times Luby's sequence, at most
+        `largest`.
+    least, most : int, optional
+        Smallest and largest number of starting points of a bracket.
+    steps : int, optional
+        Steps of each candidate on a rung.
+    lead : int, optional
+        Steps of the best candidate on a rung, at most.
+    radius : float, optional
+        Longest step along a coordinate, as a share of the width of the bounds.
+    tolerance : float, optional
+        A descent has converged if its model predicts a relative decrease of the loss below this.
+    level_tolerance : float, optional
+        The same on m rows, fewer than all, in units of d / m, which noise hides.
+    guesses : int, optional
+        Largest number of consecutive steps with predicted instead of measured slopes.
+    refresh : float, optional
+        A Hessian is measured again if a step was not as predicted, after this multiple of its cost.
+    patience, progress : float, optional
+        A descent is set aside if its loss decreases by less than the share `progress` in
+        `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
+    edge : float, optional
+        Edges of a simplex, as a share of the widths.
+    polish : int, optional
+        Evaluations of a simplex for each parameter, at most.
+    brackets : int, optional
+        Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
 
-    A descent that gains less than the share `progress` of its loss in `patience` (d + 1)
-    evaluations is set aside; the best of those may spend as much as the next bracket has. A bracket
-    whose best candidate comes to a known minimum ends. The search ends when the ends of its
-    brackets are evidence enough (`miho.optim.evidence`), at the latest after `brackets` of them.
+    Raises
+    ------
+    ValueError
+        If a setting is not possible.
+
+    Examples
+    --------
+    >>> import miho
+    >>> class Bowl(miho.Problem):
+    ...     name = "bowl"
+    ...     space = miho.Space((miho.Parameter("a", "m", -5, 5), miho.Parameter("b", "m", -5, 5)))
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return ((thetas - [1, 2]) ** 2).sum(axis=1)
+    >>> miho.minimize(miho.MIHOQN(), Bowl()).theta.round(4)
+    array([1., 2.])
     """
 
     eta: int = 3
@@ -102,11 +140,11 @@ class MIHOQN(AskTell[MIHOQNState]):
         positive_settings(self, ("radius", "refresh", "edge"))
 
     def init(self, space: Space, rng: np.random.Generator) -> MIHOQNState:
-        """The state before the first batch, of a problem without cheaper versions of itself."""
+        """State before the first batch, for a problem without cheaper approximations."""
         return self._begin(space, rng, (0,), (1.0,), Starts(brackets=True))
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOQNState:
-        """The state before the first batch."""
+        """State before the first batch."""
         space, N = oracle.space, oracle.rows
         level_rows: tuple[int, ...] = (0,)
         level_costs: tuple[float, ...] = (1.0,)
@@ -120,7 +158,7 @@ class MIHOQN(AskTell[MIHOQNState]):
                 enough=self.enough,
             )
             level_costs = tuple(oracle.cost(m / N) for m in level_rows)
-            if level_costs[0] >= 1.0:  # fewer rows are not cheaper
+            if level_costs[0] >= 1.0:  # fewer rows cost the same
                 level_rows, level_costs = level_rows[-1:], level_costs[-1:]
         state = self._begin(space, rng, level_rows, level_costs, oracle.meter.starts)
         state.starts.brackets = True
@@ -134,7 +172,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         level_costs: tuple[float, ...],
         starts: Starts,
     ) -> MIHOQNState:
-        """The state with the first bracket's starts drawn."""
+        """State with the starts of the first bracket."""
         no_points = np.empty((0, len(space)))
         candidates, box = QNCandidates.at(no_points, self.radius), QNBox.of(space)
         state = MIHOQNState(
@@ -144,19 +182,19 @@ class MIHOQN(AskTell[MIHOQNState]):
         return state
 
     def done(self, state: MIHOQNState) -> bool:
-        """After brackets whose ends are evidence enough, or after the last."""
+        """Whether the brackets are evidence enough, or their largest number is reached."""
         return state.finished
 
     def fidelity(self, state: MIHOQNState) -> float:
-        """The share of the rows that the level looks at."""
+        """Share of the rows that the level uses."""
         return 1.0 if state.last else state.rows / state.level_rows[-1]
 
     def ask(self, state: MIHOQNState) -> Array:
-        """The points whose losses the candidates of the rung need next."""
+        """Points whose losses the candidates of the rung need next."""
         return state.space.decode(state.batch)
 
     def tell(self, state: MIHOQNState, thetas: Array, losses: Array) -> None:
-        """Give each candidate its losses, and see what is needed next."""
+        """Pass the losses on to the candidates, and determine the next points."""
         state.spent += losses.size * state.cost
         if state.last:
             state.best = min(state.best, float(losses.min()))
@@ -169,7 +207,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         self._proceed(state)
 
     def _rules(self, state: MIHOQNState) -> QNRules:
-        """How steps are made in this phase, on this level."""
+        """Rules of steps in this phase, on this level."""
         level_tolerance = self.level_tolerance * state.d / max(state.rows, 1)
         return QNRules(
             cost=state.cost,
@@ -184,7 +222,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         )
 
     def _watch(self, state: MIHOQNState) -> None:
-        """Stop a candidate that goes on alone where it stalls, or has come to a known minimum."""
+        """Stop a candidate that continues alone if it stalls or has reached a known minimum."""
         c = state.candidates
         if c.stage[0] >= WAIT:
             return
@@ -201,7 +239,7 @@ class MIHOQN(AskTell[MIHOQNState]):
     # The phases of a bracket.
 
     def _proceed(self, state: MIHOQNState) -> None:
-        """Go on to the next phase until losses are needed."""
+        """Move through the phases until losses are needed."""
         phases = {
             SCREEN: self._after_screen,
             RUNG: self._after_rung,
@@ -225,7 +263,7 @@ class MIHOQN(AskTell[MIHOQNState]):
             phases[state.phase](state)
 
     def _draw(self, state: MIHOQNState) -> None:
-        """Begin a bracket: draw its starts, to be looked at on the first level."""
+        """Begin a bracket: draw its starts, to be evaluated on the first level."""
         state.bracket += 1
         state.rung_budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
         state.level, state.spent_before, state.phase = 0, state.spent, SCREEN
@@ -240,7 +278,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         self._rung(state)
 
     def _rung(self, state: MIHOQNState) -> None:
-        """Give the best candidates their steps on this level; the last one, all that it needs."""
+        """Give the best candidates their steps on this level; a single one has no limit."""
         size = len(state.candidates)
         if not size:
             self._close(state)
@@ -253,7 +291,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         state.candidates.go_on(UNLIMITED if alone else self.steps)
 
     def _after_rung(self, state: MIHOQNState) -> None:
-        """Give the best one more steps, with its Hessian measured if it never was."""
+        """Give the best candidate more steps, and measure its Hessian if it never was."""
         if not self._prune(state):
             return
         c = state.candidates
@@ -266,7 +304,7 @@ class MIHOQN(AskTell[MIHOQNState]):
             c.stage[0] = HESSIAN
 
     def _after_lead(self, state: MIHOQNState) -> None:
-        """Go on with all of the rung, on more rows."""
+        """Continue with all candidates of the rung on more rows."""
         if self._prune(state):
             state.level += 1
             c = state.candidates
@@ -275,10 +313,10 @@ class MIHOQN(AskTell[MIHOQNState]):
             self._rung(state)
 
     def _prune(self, state: MIHOQNState) -> bool:
-        """Drop the candidates that lead to known minima or are copies; False if the bracket ends.
+        """Drop candidates that lead to known minima or are copies; false if the bracket ends.
 
-        It ends where its best candidate is at a known minimum: to follow those that are worse on
-        the same rows would cost more than the next bracket.
+        It ends if its best candidate is at a known minimum: worse candidates on the same rows would
+        cost more than the next bracket.
         """
         state.candidates = c = state.candidates.usable
         known = at_known(state, c)
@@ -292,9 +330,9 @@ class MIHOQN(AskTell[MIHOQNState]):
         return True
 
     def _after_finish(self, state: MIHOQNState) -> None:
-        """Revive the best candidate that stalled in an earlier bracket, if there is any.
+        """Revive the best candidate that stalled in an earlier bracket, if there is one.
 
-        It may spend as much as this bracket has.
+        It may use as much as this bracket.
         """
         earlier = list(state.stalled)
         if not self._record_end(state):
@@ -308,14 +346,14 @@ class MIHOQN(AskTell[MIHOQNState]):
         state.candidates.go_on(UNLIMITED)
 
     def _after_revival(self, state: MIHOQNState) -> None:
-        """Record its end, as that of a bracket."""
+        """Record the end of a revived candidate, as the end of a bracket."""
         if self._record_end(state):
             self._close(state)
 
     def _record_end(self, state: MIHOQNState) -> bool:
-        """Record how the last candidate of a bracket has ended: new, known, stalled or unusable.
+        """Record the end of a bracket's last candidate: new, known, stalled or unusable.
 
-        False if it goes on with a simplex: where it is stuck, or at what may be a kink.
+        Returns false if it continues with a simplex, because it is stuck or may be at a kink.
         """
         c = state.candidates
         stage = int(c.stage[0])
@@ -338,7 +376,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         return True
 
     def _after_simplex(self, state: MIHOQNState, simplex: Simplex) -> None:
-        """Go on from the simplex's best corner, if it gained."""
+        """Continue from the best corner of the simplex, if it made progress."""
         c = state.candidates
         x, loss = simplex.best
         state.simplex = None
@@ -352,7 +390,7 @@ class MIHOQN(AskTell[MIHOQNState]):
                 c.go_on(UNLIMITED)
 
     def _record_return(self, state: MIHOQNState) -> None:
-        """Record that the best candidate of a bracket has come to a known minimum, the nearest."""
+        """Record that the best candidate of a bracket has come to the nearest known minimum."""
         c = state.candidates
         rise = c.rise(slice(1), offsets_from(state, state.minima, c.z[:1]))
         nearest = np.argmin(rise[0])
@@ -360,7 +398,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         state.starts.add(math.inf, float(state.minima_losses[nearest]), theta=place)
 
     def _close(self, state: MIHOQNState) -> None:
-        """End the bracket, and the search if the ends of its brackets are evidence enough."""
+        """Close the bracket, and end the search if the ends of brackets are evidence enough."""
         state.phase = CLOSED
         enough = state.starts.agreement(state.best).enough
         state.finished = enough or state.bracket >= self.brackets

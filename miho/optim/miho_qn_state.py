@@ -1,4 +1,4 @@
-"""Where a search of `MIHOQN` stands, and how its candidates compare with known minima."""
+"""State of a search by `MIHOQN`, and comparison of its candidates with known minima."""
 
 from __future__ import annotations
 
@@ -16,30 +16,41 @@ from miho.optim.trace import Starts
 from miho.quantities import Array
 
 NEAR = 9.0
-"""A candidate is at a known minimum within 3 standard deviations: where by its model the loss rises
-by no more than this on the way, in units of d / rows of the loss."""
+"""A candidate is at a known minimum within 3 standard deviations: its model predicts an increase of
+the loss up to this, in units of d / rows of the loss."""
 NEAR_LAST = 1e-4
 """The same on all rows, as a share of the loss."""
 BASIN = 0.1
-"""But no further from it than this share of a width: its model does not reach further."""
+"""Largest distance from a known minimum, as a share of a width; models do not extend further."""
 COPY, COPY_LOSS = 0.5, 0.05
-"""A candidate is a copy of a better one where the loss rises by no more than this on the way, in
-units of d / rows of the loss, and their losses differ by no more than this share."""
+"""A candidate is a copy of a better one if the loss increases by at most this between them, in
+units of d / rows of the loss, and if their losses differ by at most this share."""
 
 
 @dataclass
 class MIHOQNState:
-    """Where the search stands: a bracket's phase and level, its `candidates`, and what they need.
+    """State of the search: phase and level of a bracket, its candidates, and the points they need.
 
-    They need the losses of `batch` (n, d) in search coordinates, which are those of their
-    `requests`, or of a `simplex` around the only one. `level_rows` (levels,): how many rows each
-    level looks at; `level_costs` (levels,): what an evaluation costs there. `minima` (k, d): known
-    minima in search coordinates, with `minima_losses` (k,) on all rows; `best`: the least loss on
-    all rows so far. `stalled` are candidates that made too little progress, one each. `starts` are
-    those of the run, or the state's own where there is no run. `rung_budget` is what a rung of the
-    bracket may cost, `spent` what all evaluations have cost, `spent_before` what they had before
-    this bracket, or before its last phase, which may cost `allowance`. `polished`: a simplex did
-    not bring the last candidate further.
+    Attributes
+    ----------
+    batch : ndarray of shape (n, d)
+        Points whose losses are needed, in search coordinates: of `requests`, or of a `simplex`
+        around the only candidate.
+    level_rows, level_costs : tuple
+        Rows of each level, and the cost of an evaluation.
+    minima, minima_losses : ndarray of shape (k, d) and (k,)
+        Known minima in search coordinates, and their losses on all rows.
+    best : float
+        Smallest loss on all rows.
+    stalled : list of QNCandidates
+        Candidates that were set aside, one each.
+    starts : Starts
+        Starts of the run.
+    rung_budget, spent, spent_before, allowance : float
+        Budget of a rung; cost of all evaluations so far, before this bracket or its last phase; and
+        limit of this phase.
+    polished : bool
+        Whether a simplex did not improve the last candidate.
     """
 
     space: Space
@@ -68,22 +79,22 @@ class MIHOQNState:
 
     @property
     def d(self) -> int:
-        """The number of parameters."""
+        """Number of parameters."""
         return len(self.space)
 
     @property
     def cost(self) -> float:
-        """What one evaluation costs on this level."""
+        """Cost of one evaluation on this level."""
         return self.level_costs[self.level]
 
     @property
     def rows(self) -> int:
-        """How many rows this level looks at."""
+        """Number of rows of this level."""
         return self.level_rows[self.level]
 
     @property
     def last(self) -> bool:
-        """Whether that is all rows."""
+        """Whether this level uses all rows."""
         return self.level == len(self.level_rows) - 1
 
 
@@ -93,7 +104,7 @@ def offsets_from(state: MIHOQNState, points: Array, z: Array) -> Array:
 
 
 def at_known(state: MIHOQNState, c: QNCandidates) -> NDArray[np.bool_]:
-    """Which candidates are at a known minimum, as far as the level's rows can tell, (n,)."""
+    """Whether candidates are at a known minimum, as far as the rows of the level show, (n,)."""
     if not state.minima_losses.size:
         return np.zeros(len(c), bool)
     offsets = offsets_from(state, state.minima, c.z)
@@ -107,7 +118,7 @@ def at_known(state: MIHOQNState, c: QNCandidates) -> NDArray[np.bool_]:
 
 
 def distinct(state: MIHOQNState, c: QNCandidates) -> NDArray[np.intp]:
-    """Positions of the candidates, sorted by loss, that are no copies of better ones."""
+    """Positions of the candidates, sorted by loss, without copies of better ones."""
     offsets = offsets_from(state, c.z, c.z)
     near = COPY * state.d / max(state.rows, 1) * np.abs(c.loss[:, None])
     copy = c.rise(slice(None), offsets) <= near

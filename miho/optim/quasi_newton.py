@@ -1,7 +1,7 @@
-"""Quasi-Newton steps of many configurations side by side, from differences of losses.
+"""Quasi-Newton steps of many configurations at once, from differences of losses.
 
-All arrays lead with the configurations, (n, ...). Coordinates are shares of the box's widths, so
-that derivatives of a loss have its unit.
+All arrays lead with the configurations, (n, ...). Coordinates are shares of the widths of the
+bounds, so that derivatives of a loss have its unit.
 """
 
 from __future__ import annotations
@@ -14,18 +14,23 @@ from numpy.typing import NDArray
 from miho.quantities import Array
 
 DAMPING = 0.1
-"""Powell's: an update keeps at least this share of the curvature that was there."""
+"""Powell's damping: an update keeps at least this share of the previous curvature."""
 FLAT = 1e-8
-"""The least curvature of a convex model, of its largest, in coordinates of unit curvature."""
+"""Smallest curvature of a convex model, relative to its largest, in coordinates of unit
+curvature."""
 
 
 def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Minimise g s + s B s / 2 within low <= s <= high; steps (n, d) and what they gain (n,).
+    """Minimise g s + s B s / 2 within low <= s <= high; steps (n, d) and their gains (n,).
 
-    By an active set: what leaves the box is fixed at its bound, and freed where the model would
-    gain from it (Nocedal and Wright, Numerical Optimization, 2006, Alg. 16.3 for a box). In
-    coordinates in which the diagonal of B is one, so that parameters of unequal ranges cost no
-    digits.
+    Active-set method [1]_: a coordinate that leaves the box is fixed at its bound, and freed if the
+    model would gain from it. Works in coordinates in which the diagonal of B is one, so that
+    parameters of unequal ranges lose no digits.
+
+    References
+    ----------
+    .. [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed., Springer (2006),
+       Algorithm 16.3, for a box.
     """
     n, d = g.shape
     scale = np.sqrt(np.maximum(np.abs(diagonal(B)), np.finfo(float).tiny))
@@ -40,7 +45,7 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
         fixed = np.where(F, 0.0, s)
         rhs = np.where(F, -slope - _times(b, fixed), s)
         s = _solve(np.where(F[:, :, None] & F[:, None, :], b, eye), rhs)
-        # Fix what leaves the box; where nothing does, free what would gain most inwards.
+        # Fix coordinates that leave the box; if none does, free the steepest inward one.
         outside = F & ((s < lo) | (s > hi))
         s = np.minimum(np.maximum(s, lo), hi)
         F &= ~outside
@@ -62,10 +67,10 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
 
 
 def bfgs(B: Array, s: Array, y: Array) -> Array:
-    """B (n, d, d) after steps s (n, d) that changed the gradients by y (n, d).
+    """BFGS update of B (n, d, d) after steps s (n, d) that changed the gradients by y (n, d).
 
-    With Powell's damping, which keeps B positive definite where the loss curves down (Nocedal and
-    Wright, Procedure 18.2, with a share of 0.1 in place of 0.2).
+    With Powell's damping, which keeps B positive definite if the curvature of the loss is negative
+    (Nocedal and Wright, 2006, Procedure 18.2, with a share of 0.1 in place of 0.2).
     """
     Bs = _times(B, s)
     sBs, sy = np.einsum("ni,ni->n", s, Bs), np.einsum("ni,ni->n", s, y)
@@ -89,11 +94,11 @@ def curve_along(B: Array, s: Array, curvature: Array) -> Array:
 
 
 def convex(H: Array, g: Array) -> Array:
-    """Hessians H (n, d, d) with positive curvatures, so that a Newton step goes down along each.
+    """Hessians H (n, d, d) with positive curvatures, so that Newton steps descend.
 
-    Eigenvalues are replaced by their absolute values, in coordinates in which the diagonal is one:
-    there they do not depend on the parameters' ranges. Small ones are raised to FLAT of the
-    largest, which, where there is no curvature, the slopes g (n, d) give: so steps stay finite.
+    Eigenvalues are replaced by their absolute values, in coordinates in which the diagonal is one,
+    so that they do not depend on the ranges of the parameters. Small ones are raised to FLAT of the
+    largest; without curvature the slopes g (n, d) determine it. So steps stay finite.
     """
     curvature = np.abs(diagonal(H))
     largest = np.maximum(curvature, np.abs(g)).max(axis=1, keepdims=True)
@@ -114,10 +119,10 @@ class Parabola(NamedTuple):
 
 
 def parabolas(loss: Array, a: Array, at_a: Array, b: Array, at_b: Array) -> Parabola:
-    """Parabolas through losses (n,) and those, at_a and at_b (n, d), at offsets a, b (n, d).
+    """Parabolas through losses (n,), and at_a and at_b (n, d) at offsets a, b (n, d).
 
-    One for each coordinate. Where one of the losses is not finite, the straight line through the
-    other; where both, zero.
+    One for each coordinate. If one of the losses is not finite, the line through the other; if both
+    are not, zero.
     """
     with np.errstate(all="ignore"):
         to_a, to_b = (at_a - loss[:, None]) / a, (at_b - loss[:, None]) / b
@@ -131,8 +136,8 @@ def parabolas(loss: Array, a: Array, at_a: Array, b: Array, at_b: Array) -> Para
 def mixed(loss: Array, a: Array, at_a: Array, at_both: Array, curvature: Array) -> Array:
     """Hessians (n, d, d) from the curvatures (n, d) and the losses at offsets a (n, d).
 
-    `at_a` (n, d) are the losses at each of the offsets alone, `at_both` (n, d (d - 1) / 2) at two
-    of them together, in the order of the upper triangle. Entries that are not finite become zero.
+    `at_a` (n, d) are the losses at each offset alone, `at_both` (n, d (d - 1) / 2) at two of them
+    together, in the order of the upper triangle. Entries that are not finite become zero.
     """
     n, d = a.shape
     i, j = np.triu_indices(d, 1)
@@ -145,7 +150,7 @@ def mixed(loss: Array, a: Array, at_a: Array, at_both: Array, curvature: Array) 
 
 
 def diagonal(B: Array) -> Array:
-    """The diagonals of matrices, (n, d)."""
+    """Diagonals of matrices, (n, d)."""
     return np.asarray(np.einsum("nkk->nk", B))
 
 

@@ -1,6 +1,7 @@
-"""Candidates: configurations that descend side by side by quasi-Newton steps, from losses alone.
+"""Candidates: configurations that descend together by quasi-Newton steps, from losses alone.
 
-Each is a small state machine: its `stage` says which losses it needs next (`quasi_newton_steps`).
+Each is a small state machine: its `stage` determines the losses that it needs next
+(`quasi_newton_steps`).
 """
 
 from __future__ import annotations
@@ -16,28 +17,28 @@ from miho.quantities import Array
 Indices = NDArray[np.intp]
 
 LOOK, SLOPE, CURVATURE, HESSIAN, TRIAL = range(5)
-"""Stages. A candidate needs next: the loss where it is, differences of losses for slopes, for
-curvatures or for a Hessian, or the loss of a step."""
+"""Stages of a candidate that needs: its loss, differences of losses for slopes, for curvatures or
+for a Hessian, or the loss of a step."""
 WAIT, DONE, STUCK, UNUSABLE = range(5, 9)
-"""Or nothing: it has had the steps of its phase, has converged, finds no step that helps, or has no
-finite loss."""
+"""Stages of a candidate that needs nothing: it has made the steps of its phase, has converged,
+finds no step that helps, or has no finite loss."""
 
 
 @dataclass(frozen=True)
 class QNBox:
-    """The space's box in search coordinates; steps are shares of its widths."""
+    """Bounds of the space in search coordinates; steps are shares of the widths."""
 
     low: Array
     high: Array
 
     @property
     def width(self) -> Array:
-        """The widths, (d,)."""
+        """Widths, (d,)."""
         return self.high - self.low
 
     @classmethod
     def of(cls, space: Space) -> QNBox:
-        """The box of a space."""
+        """Box of a space."""
         return cls(*space.bounds)
 
     def shares(self, z: Array) -> Array:
@@ -49,22 +50,38 @@ class QNBox:
         return self.moved(self.low, shares)
 
     def moved(self, z: Array, offsets: Array) -> Array:
-        """Where offsets in shares of the widths lead from z, kept in the box."""
+        """Search coordinates z moved by offsets in shares of the widths, clipped to the bounds."""
         return np.minimum(np.maximum(z + offsets * self.width, self.low), self.high)
 
 
 @dataclass
 class QNCandidates:
-    """The candidates of a rung, each with its quadratic model of the loss on the rung's rows.
+    """Candidates of a rung, each with a quadratic model of the loss on the rung's rows.
 
-    z (n, d) in search coordinates, loss (n,); slopes g (n, d) and curvatures B (n, d, d) in shares
-    of the widths, B valid only with `has_curvature` (n,). step (n, d): on trial; predicted_gain
-    (n,): by how much the model says that it lowers the loss; radius (n,): the longest step along
-    each coordinate. measured_at, measured_g (n, d): where slopes were measured last, and what they
-    were. guesses (n,): steps accepted since. hessian_age (n,): evaluations since the Hessian was
-    measured, inf if it never was. steps_left (n,): in this phase. failures (n,): steps refused
-    since one was accepted. spent_since_mark (n,): cost of all evaluations but those of Hessians
-    since the loss was `loss_at_mark` (n,), from which progress is measured.
+    Attributes
+    ----------
+    z : ndarray of shape (n, d)
+        Search coordinates.
+    loss, g, B : ndarray of shape (n,), (n, d) and (n, d, d)
+        Loss, slopes and curvatures, in shares of the widths.
+    has_curvature : ndarray of shape (n,)
+        Whether B is valid.
+    radius : ndarray of shape (n,)
+        Longest step along each coordinate.
+    stage : ndarray of shape (n,)
+        Stage of the state machine.
+    step, predicted_gain : ndarray of shape (n, d) and (n,)
+        Step on trial, and the decrease of the loss that the model predicts.
+    measured_at, measured_g : ndarray of shape (n, d)
+        Place and values of the last measured slopes.
+    guesses : ndarray of shape (n,)
+        Accepted steps since this measurement.
+    hessian_age : ndarray of shape (n,)
+        Evaluations since the Hessian was measured, inf if it never was.
+    steps_left, failures : ndarray of shape (n,)
+        Steps left in this phase, and rejected steps since the last accepted one.
+    spent_since_mark, loss_at_mark : ndarray of shape (n,)
+        Cost of evaluations, without Hessians, and loss at the last mark, to measure progress.
     """
 
     z: Array
@@ -102,39 +119,39 @@ class QNCandidates:
         return len(self.z)
 
     def take(self, index: Indices) -> QNCandidates:
-        """Copies of those at these positions, in their order."""
+        """Copies of the candidates at these positions, in their order."""
         return QNCandidates(
             **{field.name: getattr(self, field.name)[index] for field in fields(self)}
         )
 
     def first(self, n: int) -> QNCandidates:
-        """Copies of the first n, at most all."""
+        """Copies of the first n candidates, or of all."""
         return self.take(np.arange(min(n, len(self))))
 
     @property
     def usable(self) -> QNCandidates:
-        """Copies of those with a finite loss, in the order of their losses."""
+        """Copies of the candidates with a finite loss, sorted by loss."""
         order = np.argsort(self.loss, kind="stable")
         return self.take(order[self.stage[order] != UNUSABLE])
 
     def go_on(self, steps: int, index: Indices | slice = slice(None)) -> None:
-        """Let those at `index` that wait make so many steps; progress is measured from here."""
+        """Give waiting candidates at `index` a number of steps; progress is measured from here."""
         self.steps_left[index], self.spent_since_mark[index] = steps, 0.0
         self.loss_at_mark[index] = self.loss[index]
         stage = np.where(self.has_curvature[index], SLOPE, CURVATURE)
         self.stage[index] = np.where(self.stage[index] == WAIT, stage, self.stage[index])
 
     def rise(self, index: Indices | slice, offsets: Array) -> Array:
-        """By how much the loss rises at offsets (n, k, d) from a minimum, (n, k).
+        """Predicted increase of the loss at offsets (n, k, d) from a minimum, (n, k).
 
-        By the curvatures of the candidates at `index` (n,).
+        Uses the curvatures of the candidates at `index` (n,).
         """
         return np.asarray(0.5 * np.einsum("nki,nij,nkj->nk", offsets, self.B[index], offsets))
 
 
 @dataclass
 class LossRequest:
-    """Losses that candidates at `index` (n,) need at a stage: at offsets (n, k, d) from them."""
+    """Losses that candidates at `index` (n,) need at a stage, at offsets (n, k, d) from them."""
 
     stage: int
     index: Indices

@@ -1,7 +1,7 @@
-"""Quasi-Newton steps of candidates: which losses they need, and what follows from them.
+"""Quasi-Newton steps of candidates: the losses that they need, and their next stages.
 
-`requests_of` collects the needs of all candidates as offsets from where they are, `answer` gives
-each its losses and takes it on to its next stage.
+`requests_of` collects the needs of all candidates as offsets from their positions; `answer` passes
+each its losses and advances it to its next stage.
 """
 
 from __future__ import annotations
@@ -38,39 +38,53 @@ from miho.optim.quasi_newton_candidates import (
 from miho.quantities import Array
 
 FIRST = 1e-3
-"""Offsets of differences, in shares of the widths, where no curvature is known."""
+"""Offsets of differences if no curvature is known, as shares of the widths."""
 SLOPE_OFFSETS = 1e-4, 1e-8, 1e-3
 HESSIAN_OFFSETS = 1e-2, 1e-6, 1e-2
-"""Offsets elsewhere: a share of the distance at which the curvature alone would double the loss, no
-less than the second and no more than the third of the widths.
-
-Rounding in a loss weighs by the offset in slopes and by its square in curvatures: at these
-offsets 1e-16 of a loss is 1e-12 of either.
-"""
+"""Offsets otherwise: a share of the distance at which the curvature alone would double the loss,
+between the second and the third value as shares of the widths. The error of a loss is divided by
+the offset in slopes and by its square in curvatures: at these offsets 1e-16 of a loss is 1e-12 of
+either."""
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.1
-"""Gain over predicted gain: above the first a step is accepted, above the second the trust region
-grows, below the third it shrinks (Nocedal and Wright, 2006, Alg. 4.1)."""
+"""Ratios of gain to predicted gain: above the first a step is accepted, above the second the trust
+region grows, below the third it shrinks (Nocedal and Wright, 2006, Algorithm 4.1)."""
 AS_PREDICTED = 0.2
-"""The model holds where a step gains what it predicts, up to this share."""
+"""The model holds if a step gains the prediction, up to this share."""
 FAILURES = 8
-"""After more steps refused in a row a candidate is STUCK: its trust region is then at most 2^-8 of
-what it was."""
+"""A candidate is STUCK after more consecutive rejected steps; its trust region is then at most 2^-8
+of the original one."""
 SHORTEST = 1e-10
-"""The least radius, as a share of the widths: much shorter steps are lost in rounding."""
+"""Smallest radius as a share of the widths; much shorter steps are lost in rounding."""
 LARGE = 1e-3
-"""Where a model predicts no gain within a radius of at least this, the radius is not the reason."""
+"""With at least this radius, a model without gain is not limited by the radius."""
 
 
 @dataclass(frozen=True)
 class QNRules:
-    """How steps are made on a level.
+    """Rules of steps on a level.
 
-    One evaluation costs `cost`. A descent is done where its model predicts a gain below the share
-    `tolerance` of the loss; on the `last` level also after a step that gains less. `screens`: a
-    first look is all. `measures`: Hessians are measured by differences, first where a descent seems
-    to be done, and again where the model is off after `refresh` times the evaluations of a Hessian.
-    Up to `guesses` steps in a row rely on slopes that the model predicts. A step is no longer than
-    `radius` along each coordinate. A loss up to `rounding` is 0.
+    Attributes
+    ----------
+    cost : float
+        Cost of one evaluation.
+    tolerance : float
+        A descent has converged if its model predicts a relative gain below this; on the `last`
+        level also after a step that gains less.
+    last : bool
+        Whether the level uses all rows.
+    screens : bool
+        Whether candidates need a first loss only.
+    measures : bool
+        Whether Hessians are measured by differences: before convergence, and again if the model is
+        wrong, after `refresh` times the evaluations of a Hessian.
+    refresh : float
+        See `measures`.
+    guesses : int
+        Largest number of consecutive steps with predicted slopes.
+    radius : float
+        Longest step along each coordinate.
+    rounding : float
+        Largest loss that counts as 0.
     """
 
     cost: float
@@ -85,7 +99,7 @@ class QNRules:
 
 
 def requests_of(c: QNCandidates, box: QNBox) -> list[LossRequest]:
-    """What the candidates need, one request for each stage that any of them is at."""
+    """Needs of the candidates, one request for each stage that occurs."""
     requests = []
     for stage in range(WAIT):
         index = np.flatnonzero(c.stage == stage)
@@ -95,7 +109,7 @@ def requests_of(c: QNCandidates, box: QNBox) -> list[LossRequest]:
 
 
 def points(c: QNCandidates, box: QNBox, requests: list[LossRequest]) -> Array:
-    """The points of requests in search coordinates, one after the other, (n, d)."""
+    """Points of requests in search coordinates, one after the other, (n, d)."""
     d = c.z.shape[1]
     parts = [box.moved(c.z[r.index, None], r.offsets).reshape(-1, d) for r in requests]
     return np.concatenate(parts) if parts else np.empty((0, d))
@@ -104,13 +118,13 @@ def points(c: QNCandidates, box: QNBox, requests: list[LossRequest]) -> Array:
 def answer(
     c: QNCandidates, box: QNBox, rules: QNRules, requests: list[LossRequest], losses: Array
 ) -> None:
-    """Give each candidate the losses of its points, and decide what it needs next."""
+    """Pass each candidate the losses of its points, and determine its next stage."""
     start = 0
     for request in requests:
         n, k, _ = request.offsets.shape
         values = losses[start : start + n * k].reshape(n, k)
         start += n * k
-        if request.stage != HESSIAN:  # an investment: progress is judged by the steps after it
+        if request.stage != HESSIAN:  # progress is measured without the cost of Hessians
             c.spent_since_mark[request.index] += k * rules.cost
         c.hessian_age[request.index] += k
         if request.stage == LOOK:
@@ -124,7 +138,7 @@ def answer(
 
 
 def _offsets(c: QNCandidates, box: QNBox, stage: int, index: Indices) -> Array:
-    """Offsets at which a stage needs losses, (n, k, d): of forward, backward, mixed differences."""
+    """Offsets at which a stage needs losses, (n, k, d): forward, backward and mixed differences."""
     n, d = index.size, c.z.shape[1]
     if stage == LOOK:
         return np.zeros((n, 1, d))
@@ -148,7 +162,7 @@ def _offsets(c: QNCandidates, box: QNBox, stage: int, index: Indices) -> Array:
 
 
 def _look(c: QNCandidates, rules: QNRules, index: Indices, values: Array) -> None:
-    """Take the loss on a level's rows; slopes have to be measured anew, they were of other rows."""
+    """Record the loss on a level's rows; the slopes must be measured again on these rows."""
     c.loss[index] = c.loss_at_mark[index] = values[:, 0]
     c.measured_at[index] = c.z[index]
     c.guesses[index] = c.failures[index] = 0
@@ -159,7 +173,7 @@ def _look(c: QNCandidates, rules: QNRules, index: Indices, values: Array) -> Non
 def _slope(
     c: QNCandidates, box: QNBox, rules: QNRules, request: LossRequest, values: Array
 ) -> None:
-    """Take slopes by forward differences, less what the curvature adds, and update B by them."""
+    """Record slopes by forward differences, corrected for the curvature, and update B by them."""
     index, a = request.index, diagonal(request.offsets)
     g = (values - c.loss[index, None]) / a - 0.5 * a * diagonal(c.B[index])
     g = np.where(np.isfinite(g), g, 0.0)
@@ -174,7 +188,7 @@ def _slope(
 def _curvature(
     c: QNCandidates, box: QNBox, rules: QNRules, request: LossRequest, values: Array
 ) -> None:
-    """Take slopes and curvatures by central differences, and mixed ones for a Hessian."""
+    """Record slopes and curvatures by central differences, and mixed ones for a Hessian."""
     index, d = request.index, c.z.shape[1]
     a, b = diagonal(request.offsets[:, :d]), diagonal(request.offsets[:, d : 2 * d])
     ahead, loss = values[:, :d], c.loss[index]
@@ -193,7 +207,7 @@ def _curvature(
 
 
 def _set_slopes(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, g: Array) -> None:
-    """Take measured slopes g (n, d), and propose the next steps."""
+    """Record measured slopes g (n, d), and propose the next steps."""
     c.g[index] = c.measured_g[index] = g
     c.measured_at[index] = c.z[index]
     c.guesses[index] = 0
@@ -201,9 +215,9 @@ def _set_slopes(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, g: 
 
 
 def _propose(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices) -> None:
-    """Set the next step of each on trial, or end its descent where its model predicts no gain.
+    """Set the next step of each candidate, or end its descent if its model predicts no gain.
 
-    Slopes or curvatures that the model predicts, but nobody measured, are measured first.
+    Predicted slopes and curvatures are measured first.
     """
     if not index.size:
         return
@@ -226,8 +240,8 @@ def _propose(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices) -> Non
 
 
 def _trial(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, loss: Array) -> None:
-    """Accept or refuse steps by their losses (n,), update the models, decide what comes next."""
-    # What each step gained, and whether it may be followed by one on predicted slopes (`guess`).
+    """Accept or reject steps by their losses (n,), update the models, and set the next stages."""
+    # Gain of each step, and whether a step with predicted slopes (`guess`) may follow.
     step, gain = c.step[index], c.predicted_gain[index]
     finite = np.isfinite(loss)
     fall = np.where(finite, c.loss[index] - loss, -np.inf)
@@ -246,7 +260,7 @@ def _trial(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, loss: Ar
     c.radius[index] = _radius(
         c.radius[index], step, accepted, ratio, slope, curvature, rules.radius
     )
-    # Where slopes are measured next, they say more than the loss of one step does.
+    # Slopes that are measured next determine more than the loss of one step.
     learns = np.where(accepted, (curvature > 0) & (guess | ~more), curvature > predicted)
     i = index[learns]
     c.B[i] = curve_along(c.B[i], step[learns], curvature[learns])
@@ -281,9 +295,9 @@ def _radius(
     curvature: Array,
     largest: float,
 ) -> Array:
-    """The radius of the next steps, (n,), after steps (n, d) of this `ratio` of gain to prediction.
+    """Radius of the next steps, (n,), after steps (n, d) with this `ratio` of gain to prediction.
 
-    After a refused step it is the way to the minimum of the parabola along it, 0.1 to 0.5 of its
+    After a rejected step it is the minimum of the parabola along the step, 0.1 to 0.5 of its
     length.
     """
     size = np.abs(step).max(axis=1)

@@ -1,4 +1,4 @@
-"""A problem whose evaluations are made by workers, or kept in a journal."""
+"""A problem whose evaluations run on workers or are stored in a journal."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ WHOLE = 1.0
 
 
 JournalFile = str | os.PathLike[str] | Journal | None
-"""A file for the evaluations of a problem, or the journal that was opened of it."""
+"""A file for the evaluations of a problem, or an open journal."""
 
 
 class SpreadProblem(Problem):
-    """Another problem, whose losses are evaluated elsewhere; all else is as it says itself."""
+    """A wrapped problem whose losses are evaluated elsewhere."""
 
     def __init__(self, problem: Problem, evaluations: Evaluations) -> None:
         self.name, self.space, self.rows = problem.name, problem.space, problem.rows
@@ -44,11 +44,11 @@ class SpreadProblem(Problem):
         return self._task("loss", fidelity)(thetas)
 
     def cost(self, fidelity: float) -> float:
-        """As the problem says."""
+        """Cost of an evaluation, as for the wrapped problem."""
         return self.problem.cost(fidelity)
 
     def _task(self, kind: str, fidelity: float) -> Evaluated:
-        """What evaluates one kind of value."""
+        """Evaluator of one kind of value."""
         if (kind, fidelity) not in self._tasks:
             rows = partial(_KINDS[kind], self.problem, fidelity)
             name = f"{kind} {fidelity!r}"
@@ -57,7 +57,7 @@ class SpreadProblem(Problem):
 
 
 class SpreadLeastSquares(SpreadProblem, LeastSquaresProblem):
-    """A least-squares problem, whose residuals and derivatives are evaluated elsewhere as well."""
+    """A wrapped least-squares problem; residuals and derivatives are also evaluated elsewhere."""
 
     def __init__(self, problem: LeastSquaresProblem, evaluations: Evaluations) -> None:
         super().__init__(problem, evaluations)
@@ -84,9 +84,10 @@ def spread_problem(
     evaluation_limit: float | None = None,
     journal: JournalFile = None,
 ) -> Iterator[tuple[Any, Evaluations | None]]:
-    """The problem whose evaluations are made by workers or kept in a journal, and what makes them.
+    """Problem whose evaluations run on workers or are stored in a journal, and its evaluations.
 
-    The problem itself, and None, without either; itself too where it is never dear.
+    Without workers and journal the result is the problem itself and None. A problem that is never
+    expensive is returned unchanged.
     """
     with open_evaluations(problem, workers, evaluation_limit, journal) as evaluations:
         yield problem if evaluations is None else problem.spread(evaluations), evaluations
@@ -99,11 +100,11 @@ def open_evaluations(
     evaluation_limit: float | None = None,
     journal: JournalFile = None,
 ) -> Iterator[Evaluations | None]:
-    """What makes the evaluations of a problem, and of others with its models and data.
+    """Evaluations of a problem, and of other problems with the same models and data.
 
-    Evaluations that are open already are used as they are. Raises JournalError for a journal that
-    cannot be used, and for one of a model that has changed as soon as that shows;
-    UncheckedJournalError where the model fails for a reason that may pass.
+    Open evaluations are used unchanged. Raises JournalError if the journal cannot be used, or as
+    soon as it turns out that its model has changed; UncheckedJournalError if the model fails for a
+    reason that may be temporary.
     """
     if isinstance(workers, Evaluations):
         yield workers
@@ -126,7 +127,7 @@ def open_evaluations(
 
 
 def spread(problem: Problem, evaluations: Evaluations) -> Problem:
-    """A problem whose evaluations are made by these."""
+    """Problem with its evaluations on these workers."""
     if isinstance(problem, LeastSquaresProblem):
         return SpreadLeastSquares(problem, evaluations)
     return SpreadProblem(problem, evaluations)
@@ -135,7 +136,7 @@ def spread(problem: Problem, evaluations: Evaluations) -> Problem:
 def _losses(problem: Any, fidelity: float, thetas: Array) -> Array:
     losses = np.asarray(problem.loss(thetas, *_part(fidelity)))
     if losses.shape != (len(thetas),) or losses.dtype.kind not in "fiu":
-        raise ValueError(f"not one real number a row: {losses.dtype} of shape {losses.shape}")
+        raise ValueError(f"not one real number per row: {losses.dtype} of shape {losses.shape}")
     return losses
 
 

@@ -1,11 +1,16 @@
-"""Whether residuals have structure that noise has not: a peak, a period, or a curve left over.
+"""Test whether residuals have a structure that noise lacks: a peak, a period or a trend.
 
-Where a search has missed a peak or a period, its residuals resemble their neighbours, or hold a
-spectral line. For each input, and on a grid of each two inputs, this is tested in two ways: by the
-sum of the residuals in a window, for windows of doubling sizes in all places; and by the largest
-ordinate of the periodogram (Fisher, Proceedings of the Royal Society A 125, 1929). Residuals count
-in units of their median size and up to CLIPPED of it, so that outliers make no structure. Where
-they are larger than elsewhere along an input, the unit is their median size there.
+If a search has missed a peak or a period, its residuals resemble their neighbours or contain a
+spectral line. Two statistics test this along each input and on a grid of each pair of inputs: the
+largest sum of residuals in a window, for windows of doubling sizes at all positions; and the
+largest ordinate of the periodogram [1]_. Residuals are divided by their median size and clipped at
+CLIPPED, so that outliers are no structure. Along an input with locally larger residuals, their
+local median size is the divisor.
+
+References
+----------
+.. [1] R. A. Fisher, "Tests of significance in harmonic analysis", Proceedings of the Royal Society
+   A 125 (1929) 54-59.
 """
 
 from __future__ import annotations
@@ -15,45 +20,46 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its packages at their first use; importing them here takes a second
 from numpy.typing import NDArray
 
 from miho.quantities import Array
 
 LEVEL = 1e-2
-"""Noise that is alike in all rows shows as much structure with this probability at most: half of it
-is for the windows, half for the lines, and each test has its share of that (Bonferroni). Windows
-overlap, and are counted as four times as many as fit next to each other. Noise that grows or falls
-by a factor of 50 along 300 rows passes for structure in 0 to 5 % of data sets: where it is small,
-parameters that the large noise has moved leave residuals."""
+"""Largest probability that noise of equal size in all rows counts as structure: half of it for
+windows, half for lines, divided among the tests (Bonferroni). Windows overlap, and count as four
+times the number that fits side by side. Noise that grows or falls by a factor of 50 along 300 rows
+counts as structure in 0 to 5 % of data sets, because parameters moved by the large noise leave
+residuals where it is small."""
 CLIPPED = 3.0
-"""Standard deviations of normal noise up to which a residual counts."""
+"""Largest size of a residual, in standard deviations of normal noise."""
 FEWEST, MOST = 8, 20_000
-"""The fewest rows that can show a structure, and the most that are tested: of longer data a sample,
-which takes some 10 ms, and of many inputs 1 ms for each two."""
+"""Smallest number of rows that can show a structure, and largest number that is tested. Longer data
+are sampled; a test then takes some 10 ms, and 1 ms for each pair of inputs."""
 BLOCKS, FEWEST_IN_BLOCK = 4, 30
-"""Blocks of rows, along an input, that fit next to each other, and rows of each at least: a peak is
-narrower than a block, and counts little in its median."""
+"""Blocks of rows along an input that fit side by side, and smallest number of rows of each: a peak
+is narrower than a block and hardly changes its median."""
 CHANCE = 6.0
-"""The largest median of a block over the smallest is by chance up to exp(CHANCE / sqrt(rows))."""
+"""By chance the ratio of the largest and the smallest median of blocks reaches exp(CHANCE /
+sqrt(rows))."""
 FARTHEST = 300.0
-"""Logarithms of spreads beyond, which numbers hardly have, are taken for this one."""
+"""Largest logarithm of a spread, beyond those of real data."""
 CELLS = 64
-"""Cells of the grid of two inputs along each: a window of one cell is 1/64 of a range."""
+"""Cells of the grid along each of two inputs: a window of one cell is 1/64 of a range."""
 SIDES = [2**k for k in range(6)]
 BOXES = [(h, w) for h in SIDES for w in SIDES if h * w > 1 and 1 / 2 <= h / w <= 2]
 """Heights and widths of boxes of cells, of 2 to 1024 of the 4096."""
 FEWEST_IN_BOX = 4
-"""Rows whose clipped residuals add up to a number that is near enough to a normal one."""
+"""Number of rows whose clipped residuals have a nearly normal sum."""
 MEDIAN_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 Order = NDArray[np.intp]
-"""The rows (N,) in the order of an input."""
+"""Rows (N,) in the order of an input."""
 
 
 def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
-    """Whether residuals (N,) have structure along their inputs, (N,) each, that noise has not."""
+    """Whether residuals (N,) have a structure along their inputs, (N,) each, that noise lacks."""
     sample = slice(None, None, -(-residuals.size // MOST))
     X = [x[sample] / 2 for x in inputs]  # the range of a half does not overflow
     spans = [np.ptp(x) for x in X]
@@ -74,9 +80,9 @@ def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
 def _standardised(residuals: Array, orders: Sequence[Order]) -> Array:
     """Residuals (N,) in standard deviations of the bulk, clipped, with mean 0 and variance 1.
 
-    Where their spread is larger along an input, whose order (N,) of rows is given, they count less.
-    Where it is smaller, they do not count more: parameters that noise elsewhere has moved leave
-    residuals there, which are no structure. So the variance is smaller there.
+    Residuals count less if their spread along an input, given by an order (N,) of rows, is larger
+    there. A smaller spread does not increase their weight: parameters moved by noise elsewhere
+    leave residuals there that are no structure. So the variance is smaller there.
     """
     z = residuals - median(residuals)
     deviation = MEDIAN_TO_DEVIATION * median(np.abs(z))
@@ -96,10 +102,10 @@ def _standardised(residuals: Array, orders: Sequence[Order]) -> Array:
 
 
 def _spread(order: Order, sizes: Array) -> Array:
-    """The standard deviation (N,) of residuals of these `sizes` (N,) along an input.
+    """Standard deviation (N,) along an input of residuals with these `sizes` (N,).
 
     Its logarithm is linear between the middles of overlapping blocks of rows, and beyond the first
-    and the last. It is 1 everywhere if blocks differ no more than by chance.
+    and the last. It is 1 everywhere if blocks differ by no more than chance.
     """
     N = sizes.size
     rows = max(N // BLOCKS, FEWEST_IN_BLOCK)
@@ -118,7 +124,7 @@ def _spread(order: Order, sizes: Array) -> Array:
 
 
 def median(values: Array) -> float:
-    """That of NumPy, which takes longer to find out that none of some numbers is NaN."""
+    """Median; NumPy's is slower because it checks for NaN."""
     last = values.size // 2
     first = last - 1 + values.size % 2
     ordered = np.partition(values, (first, last))
@@ -126,7 +132,7 @@ def median(values: Array) -> float:
 
 
 def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
-    """The tests along one input, given as shares (N,) of its range: of windows, and of lines."""
+    """Log probabilities of windows and lines along one input, in shares (N,) of its range."""
     N = z.size
     sums = np.concatenate([[0.0], np.cumsum(z[order])])
     windows, size = [], 2
@@ -141,7 +147,7 @@ def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
 
 
 def _across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
-    """The tests on the grid of two inputs, given as shares (N,) of their ranges."""
+    """Log probabilities on the grid of two inputs, in shares (N,) of their ranges."""
     N = z.size
     cell = [np.minimum((share * CELLS).astype(np.int64), CELLS - 1) for share in (a, b)]
     flat = cell[0] * CELLS + cell[1]
@@ -166,21 +172,21 @@ def _across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
 
 
 def _integral(cells: Array) -> Array:
-    """The sums of all cells above and to the left, (n + 1, m + 1)."""
+    """Sums of all cells above and to the left, (n + 1, m + 1)."""
     return np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
 
 def _boxes(sums: Array, height: int, width: int) -> Array:
-    """The sums of the boxes of this size in all places, by the integral of the cells."""
+    """Sums of the boxes of this size at all positions, from the integral of the cells."""
     inner = sums[height:, width:] + sums[:-height, :-width]
     return np.asarray(inner - sums[height:, :-width] - sums[:-height, width:])
 
 
 def _of_windows(largest: float, windows: float) -> float:
-    """The logarithm of the probability that the largest of so many normal numbers is larger."""
+    """Log probability that the largest of this number of normal variables is larger."""
     return float(math.log(2 * windows) + scipy.special.log_ndtr(-largest))
 
 
 def _of_lines(power: NDArray[np.float64]) -> float:
-    """The logarithm of the probability that the largest of exponential numbers is larger."""
+    """Log probability that the largest of exponential variables is larger."""
     return float(math.log(power.size) - power.max())

@@ -1,4 +1,4 @@
-"""What a problem gives, made usable for methods: what is no finite number is rejected."""
+"""Values of a problem in a form that methods can use; non-finite values are rejected."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.quantities import Array
 
 NOT_FINITE = "loss is"
-"""How the reason begins for which a value is rejected that was computed, but is not finite."""
+"""Beginning of the reason for rejecting a value that was computed, but is not finite."""
 
 
 class UsableValues:
-    """Losses, residuals and derivatives of a problem, each as array of real numbers.
+    """Losses, residuals and derivatives of a problem, as arrays of real numbers.
 
-    A loss that is none is +inf, and so is one of which the problem raises anything but MemoryError.
-    Of each, `reject` gets the reason and how often it occurred.
+    An unusable loss becomes +inf, also if the problem raises anything but MemoryError. `reject`
+    gets the reason and the count.
     """
 
     def __init__(self, problem: Problem, reject: Callable[..., None]) -> None:
@@ -32,7 +32,7 @@ class UsableValues:
             losses = np.asarray(self._problem.loss(read_only(rows), fidelity))
             if losses.shape == (len(rows),) and losses.dtype.kind in "fiu":
                 return self._finite(losses.astype(float))
-            reason = f"not one real number a row: {losses.dtype} of shape {losses.shape}"
+            reason = f"not one real number per row: {losses.dtype} of shape {losses.shape}"
         except MemoryError:
             raise
         except Exception as error:  # noqa: BLE001 -- whatever else a model raises is a rejected value
@@ -43,9 +43,9 @@ class UsableValues:
         return np.concatenate([self.losses(row[None], fidelity) for row in rows])
 
     def residuals(self, theta: Array, *part: float) -> tuple[Array, Array]:
-        """Residuals (m,), which need not be finite, of one configuration (d,), and its loss (1,).
+        """Residuals (m,) of one configuration (d,), which need not be finite, and its loss (1,).
 
-        Raises UnusableValueError where the problem raises.
+        Raises UnusableValueError if the problem raises.
         """
         problem = self.least_squares
         try:
@@ -61,13 +61,13 @@ class UsableValues:
         try:
             residuals = _real(problem.residual_rows(read_only(rows), *part))
             return residuals, self._finite(mean_square(residuals))
-        except Exception:  # noqa: BLE001 -- whatever a model raises, or it has no such rows
+        except Exception:  # noqa: BLE001 -- whatever a model raises, or no residual_rows
             return self._one_by_one(rows, *part)
 
     def jacobian(self, theta: Array, *part: float) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,).
 
-        Raises UnusableValueError where the problem raises, and if one is not finite.
+        Raises UnusableValueError if the problem raises, or if a derivative is not finite.
         """
         problem = self.least_squares
         try:
@@ -82,16 +82,16 @@ class UsableValues:
 
     @property
     def least_squares(self) -> LeastSquaresProblem:
-        """The problem; raises TypeError for one without residuals."""
+        """The problem; raises TypeError if it has no residuals."""
         if not isinstance(self._problem, LeastSquaresProblem):
             raise TypeError(
-                f"problem {self._problem.name} gives no residuals; choose a method that needs "
+                f"problem {self._problem.name} has no residuals; choose a method that needs "
                 "only losses (optimizer=miho_qn), or make it a LeastSquaresProblem"
             )
         return self._problem
 
     def _one_by_one(self, rows: Array, *part: float) -> tuple[Array, Array]:
-        """As `residual_rows`, of which each may raise."""
+        """The same as `residual_rows`, with separate calls, each of which may raise."""
         computed: dict[int, Array] = {}
         losses = np.full(len(rows), math.inf)
         for k, theta in enumerate(rows):
@@ -107,12 +107,12 @@ class UsableValues:
         return residuals, losses
 
     def _named(self, theta: Array) -> str:
-        """A configuration (d,) in words."""
+        """A configuration (d,) as text."""
         values = zip(self._problem.space.names, theta.tolist(), strict=True)
         return ", ".join(f"{name} = {value:.6g}" for name, value in values)
 
     def _finite(self, losses: Array) -> Array:
-        """The losses with +inf in place of every value that is not a finite number."""
+        """Losses with +inf in place of every value that is not finite."""
         finite = np.isfinite(losses)
         if np.logical_and.reduce(finite):  # a third of the time of finite.all()
             return losses
@@ -122,7 +122,7 @@ class UsableValues:
 
 
 def read_only(array: Array) -> Array:
-    """A view that a problem cannot edit: the method goes on working with the array itself."""
+    """Read-only view for a problem; the method continues with the array itself."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -447,7 +447,7 @@ def test_a_problem_without_residuals_is_refused_with_what_to_choose() -> None:
     assert record.outcome is Outcome.FAILED
     assert record.error is not None
     line = record.error.strip().splitlines()[-1]
-    assert "problem paraboloid gives no residuals" in line
+    assert "problem paraboloid has no residuals" in line
     assert "optimizer=miho_qn" in line
 
 

@@ -158,5 +158,5 @@ class LossOnly(Problem):
 
 
 def test_a_problem_without_residuals_says_so() -> None:
-    with pytest.raises(TypeError, match=r"gives no residuals; .* \(optimizer=miho_qn\)"):
+    with pytest.raises(TypeError, match=r"has no residuals; .* \(optimizer=miho_qn\)"):
         Oracle(LossOnly(), Budget()).residuals(np.array([1.0]))
