@@ -1,4 +1,4 @@
-"""Steps of mutation and acceptance by the machine of `miho.core`, many at a time."""
+"""Mutation and acceptance steps on the machine of `miho.core`, many per call."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from miho.core import Tape, machine
 from miho.quantities import Array
 
 WORTH_THREADS = 1
-"""A block with at least so many steps after the first is shared out among threads."""
+"""A block with at least this number of steps after the first is divided among threads."""
 
 
 def climb_on(tape: Tape, X: Array, y: Array, threads: int = 1) -> Climb:
-    """Steps of mutation on the mean square of a tape's one result minus y (N,) at X (p, N).
+    """Mutation steps on the mean square of a tape's single result minus y (N,) at X (p, N).
 
-    Rows of P do not depend on each other and are shared out among threads, so that the result is
-    the same however many there are. A run with a target has only one thread, since all rows end
-    with the step that reaches it.
+    Rows of P are independent and are divided among threads; the result does not depend on their
+    number. A run with a target has only one thread, because all rows end with the step that reaches
+    it.
     """
 
     def climb_rows(steps: Steps, best: float, target: float) -> Block:
@@ -57,7 +57,7 @@ def climb_on(tape: Tape, X: Array, y: Array, threads: int = 1) -> Climb:
 
 
 def _merged(blocks: list[Block], parts: list[slice], best: float) -> Block:
-    """The parts' blocks as one, with improvements in the order of a loop over all rows."""
+    """Combine the blocks of the parts, with improvements in the order of a loop over all rows."""
     n = parts[-1].stop
     numbers = []
     for block, rows in zip(blocks, parts, strict=True):

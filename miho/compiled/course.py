@@ -1,4 +1,4 @@
-"""What a trajectory is computed from."""
+"""Times, inputs and events of a trajectory."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from miho.quantities import Array, Integers
 
 
 class Course(NamedTuple):
-    """Where a trajectory is asked for: times t (N,), inputs u (N, q) there, substeps between rows.
+    """Times t (N,), inputs u (N, q), and the substeps between rows of a trajectory.
 
-    Inputs are straight from row to row, or stay at the earlier row's if `held`. Of output[r] at row
-    j the data want all r = rows[i] with first[j] <= i < first[j + 1]. At row j the state is set to
-    start reset[j] if that is not negative: to `values` (M, S), or to the parameter whose position
-    is in `parameters` (M, S), where that is not negative. Outputs at such a row are those after it,
-    or if it is a `restart` those before, except at row 0.
+    Inputs are linear from row to row, or constant from the earlier row if `held`. At row j the data
+    contain output[r] for all r = rows[i] with first[j] <= i < first[j + 1]. At row j the state is
+    set to start reset[j] unless this is negative: to `values` (M, S), or to the parameter at
+    position `parameters` (M, S) unless this is negative. Outputs at such a row follow the reset;
+    with `restart` they precede it, except at row 0.
     """
 
     t: Array

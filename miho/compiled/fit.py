@@ -1,7 +1,7 @@
-"""Fast forms of a curve fit, each used only where it gives what NumPy gives.
+"""Fast forms of a curve fit, used only if they agree with NumPy.
 
-Why the machine might not: a function may do something else with symbols than with arrays, and a
-formula may have derivatives that are not its own.
+They may disagree because a function treats symbols and arrays differently, or because the stated
+derivatives of a formula are wrong.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from miho.core import Tape
 from miho.quantities import Array
 
 AGREED: WeakKeyDictionary[Tape, set[int]] = WeakKeyDictionary()
-"""On how many rows tapes of derivatives agreed with NumPy: a process compares each formula once, so
-that many fits of a model pay for one comparison."""
+"""Row counts on which tapes of derivatives agreed with NumPy. A process compares each formula once,
+so that many fits of one model share one comparison."""
 COMPARED = 1000
-"""Rows on which the machine's values are compared with NumPy's."""
+"""Rows on which the machine is compared with NumPy."""
 CLOSE = 1e-9
-"""Values may differ by this share of the largest: elementary functions differ by a few roundings,
-and may be in large terms that cancel."""
+"""Largest difference, relative to the largest value: elementary functions differ by a few
+roundings, which may be in large terms that cancel."""
 MOVED, ROUNDINGS = 4 * float(np.finfo(float).eps), 100.0
-"""Where terms cancel more than that, the conditioning says how far rounding goes: values may differ
-by ROUNDINGS times what they change when a parameter changes by the share MOVED, its last bits."""
+"""If terms cancel more, the conditioning determines the rounding: values may differ by ROUNDINGS
+times their change when a parameter changes by the share MOVED, its last bits."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitKernel:
     """Fast forms of the mean square of a model minus data, see `kernel_for`.
 
-    They are compared with NumPy's at their first use, off the clock; where they differ there is a
-    warning, and None in their place.
+    They are compared with NumPy at their first use, off the clock. If they differ, a warning is
+    issued, and all of them are None.
     """
 
     taped: TapedLoss
@@ -76,8 +76,8 @@ class FitKernel:
         reason = disagreement(self.taped, self.model, rows, self.thetas)
         if reason:
             warnings.warn(
-                f"{self.name}: {reason}; NumPy's are used, which are slower: write it element by "
-                "element with NumPy's functions of numbers, or derive from Model",
+                f"{self.name}: {reason}; NumPy is used, which is slower: write the function "
+                "element by element with NumPy's functions of numbers, or derive from Model",
                 UserWarning,
                 stacklevel=4,
             )
@@ -87,10 +87,10 @@ class FitKernel:
 
 
 def disagreement(loss: TapedLoss, model: Formulas, rows: int, thetas: Array) -> str:
-    """Where the machine's values are not NumPy's, "" where they are.
+    """First difference between the machine and NumPy as text, "" if they agree.
 
-    Residuals and derivatives of the first rows are compared at configurations (n, d), wherever
-    NumPy's values are finite.
+    Residuals and derivatives of the first rows are compared at configurations (n, d), for finite
+    values of NumPy.
     """
     X, y = (part[..., :rows] for part in loss.ordered)
 
@@ -109,14 +109,14 @@ def disagreement(loss: TapedLoss, model: Formulas, rows: int, thetas: Array) -> 
                 at = tuple(np.argwhere(wrong)[0])
                 kind = f"derivative {at[0]}" if at[0] else "residual"
                 return (
-                    f"{kind} is {values[at]:.9g} on the machine where NumPy gives "
-                    f"{expected[at]:.9g}, at {theta}"
+                    f"{kind} is {values[at]:.9g} on the machine, but {expected[at]:.9g} in NumPy, "
+                    f"at {theta}"
                 )
     return ""
 
 
 def _tolerance(values: Callable[[Array], Array], theta: Array) -> Array:
-    """How far rounding may move values, (..., 1): one number for each column of rows."""
+    """Largest change of values by rounding, (..., 1): one number for each column of rows."""
     unmoved = values(theta)
     tolerance = CLOSE * _largest(unmoved)
     for k in np.flatnonzero(theta):
@@ -127,6 +127,6 @@ def _tolerance(values: Callable[[Array], Array], theta: Array) -> Array:
 
 
 def _largest(values: Array) -> Array:
-    """The largest finite one of each column of rows, (..., 1)."""
+    """Largest finite value of each column of rows, (..., 1)."""
     finite = np.where(np.isfinite(values), values, 0.0)
     return np.asarray(np.abs(finite).max(axis=-1, keepdims=True))

@@ -1,9 +1,9 @@
 """Levenberg-Marquardt steps of many candidates side by side.
 
-The functions here are what happens between two evaluations: each takes a candidate from one stage
-to the next. The machine of `miho.core` has the same in C (`steps.c`), for models that it runs
-itself. These serve any other (`gauss_newton_parts`), and the C is tested against them. A run that
-is cut off between two evaluations resumes as if it had not been.
+These functions are the steps between two evaluations: each advances a candidate from one stage to
+the next. The machine of `miho.core` has the same steps in C (`steps.c`) for models that it runs.
+The Python functions serve all other models (`gauss_newton_parts`), and tests compare the C with
+them. A run that stops between two evaluations resumes without a difference.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ from miho.compiled.workspace import CHUNK, Work, clear, copy
 from miho.quantities import Array
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
-"""Gain over predicted gain: above the first a trial is taken; above the second the damping falls,
-below the third it grows (Marquardt, 1963; Moré, 1978)."""
+"""Ratios of gain to predicted gain: above the first a trial is accepted, above the second the
+damping decreases, below the third it increases (Marquardt, 1963; Moré, 1978)."""
 LESS, MORE = 0.1, 2.0
-"""Factors of the damping after a good and after a poor step; after failures Nielsen's (1999), which
-double each time."""
+"""Factors of the damping after a good and a poor step; after failures Nielsen's (1999) factors,
+which double each time."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 SECANT = 0.7
-"""Where the gain is more than this share of the predicted one the next derivatives are Broyden's,
-a few times running: they cost nothing."""
+"""If the gain exceeds this share of the predicted one, the next derivatives are Broyden updates, a
+few times in a row: they cost nothing."""
 BEND = 0.75
-"""A refused trial is corrected for curvature where this turns its step by no more than such a share
-of it, in the metric of the scales (Transtrum and Sethna, 2012)."""
+"""A rejected trial is corrected for curvature if this turns its step by at most this share, in the
+metric of the scales (Transtrum and Sethna, 2012)."""
 CORRECTED = -1
-"""As the number of secants: the trial is a corrected one."""
+"""Value of `secants` that marks a corrected trial."""
 DONE_DAMPING, DONE_LESS = 1e-3, 1e-3
-"""Where the predicted gain is below the tolerance, a candidate is done if the damping is no more
-than the first, or the gain no more than the second share of the tolerance; else the damping may be
-the reason, and falls."""
+"""If the predicted gain is below the tolerance, a candidate is done if the damping is at most the
+first value, or the gain at most the second share of the tolerance; otherwise the damping may be the
+reason, and decreases."""
 TRIES = 12
-"""Steps with less and less damping, before the last is tried although it promises too little."""
+"""Largest number of decreases of the damping, before the last step is tried in spite of its small
+predicted gain."""
 RESTART_DAMPING = 1e-6
-"""The least damping after a step that failed."""
+"""Smallest damping after a failed step."""
 SMALLEST_SCALE = 1e-10
-"""The least scale, as a share of the largest: for parameters without effect on the residuals."""
+"""Smallest scale relative to the largest, for parameters without effect on the residuals."""
 INSIDE = 1e-12
-"""A linear parameter that is nearer to a bound than this share of the width is at it."""
+"""A linear parameter closer to a bound than this share of the width is at the bound."""
 
 
 def to_units(x: Array, box: GNBox, theta: Array) -> None:
@@ -71,18 +72,18 @@ def to_units(x: Array, box: GNBox, theta: Array) -> None:
 def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
     """Set R, q and D of a candidate from w.T, the triangular factor of derivatives and residuals.
 
-    The columns of w.T are the d parameters and the residuals; or, where the linear parameters are
-    projected out, first the free linear ones, then the nonlinear ones and the residuals. The rows
-    below the first are then Kaufman's (1975) Jacobian of the reduced problem.
+    The columns of w.T are the d parameters and the residuals; with projection, first the free
+    linear parameters, then the nonlinear ones and the residuals. The rows below the first ones are
+    then Kaufman's (1975) Jacobian of the reduced problem.
     """
-    # The columns that are projected out come first: skip so many rows and columns.
+    # Skip the projected columns, which come first, and as many rows.
     d = c.x.shape[1]
     n, first = d, 0
     if c.projects[i]:
         n = box.nonlinear.size
         for k in box.linear:
             first += is_free(c.x[i, k])
-    # Copy the triangle; a scale is the norm of its column, and falls slowly.
+    # Copy the triangle; a scale is the norm of its column, and decreases slowly.
     R, q, D = c.R[i], c.q[i], c.D[i]
     finite, largest = True, 0.0
     for k in range(n):
@@ -109,9 +110,9 @@ def is_free(x: float) -> bool:
 def judge_trial(
     c: GNCandidates, i: int, loss: float, box: GNBox, m: int, rules: GNRules, w: Work
 ) -> None:
-    """Accept or refuse the trial of a candidate by its loss; its residuals are in w."""
+    """Accept or reject the trial of a candidate by its loss; its residuals are in w."""
     d = c.x.shape[1]
-    # A first look is no trial: it gives the loss that later ones are compared with.
+    # The first evaluation gives the loss with which trials are compared.
     if c.stage[i] == ENTER:
         copy(c.trial[i], c.x[i])
         c.loss[i] = loss
@@ -125,7 +126,7 @@ def judge_trial(
     rho = actual / predicted if predicted > 0 and math.isfinite(loss) else -1.0
     if rho > ACCEPTED:
         c.secants[i] = max(c.secants[i], 0)
-        # The next derivatives are Broyden's where the linear model holds well.
+        # Broyden update if the linear model holds well.
         secant = (
             rho > SECANT
             and c.secants[i] < rules.secants
@@ -136,7 +137,7 @@ def judge_trial(
             broyden(c, i, m, w)
         else:
             keep_residuals(c, i, m, w)
-        # Move there, and trust the linear model more or less.
+        # Move to the trial, and adapt the damping.
         copy(c.trial[i], c.x[i])
         c.loss[i] = loss
         if rho > GOOD:
@@ -154,12 +155,12 @@ def judge_trial(
         if loss <= rules.rounding:
             c.stage[i] = DONE
     elif c.secants[i] > 0:
-        # Refused: updated derivatives may be the reason, so evaluate them.
+        # Rejected: evaluate the derivatives, in case the update was wrong.
         c.stage[i], c.secants[i] = SLOPES, 0
     elif math.isfinite(loss) and correct_trial(c, i, m, rules, w):
-        c.secants[i] = CORRECTED  # or curvature
+        c.secants[i] = CORRECTED
     else:
-        # Else damp more.
+        # Otherwise damp more.
         c.secants[i] = 0
         c.damping[i] = max(c.damping[i] * c.growth[i], RESTART_DAMPING)
         c.growth[i] *= 2.0
@@ -167,12 +168,12 @@ def judge_trial(
 
 
 def correct_trial(c: GNCandidates, i: int, m: int, rules: GNRules, w: Work) -> bool:
-    """Correct a refused trial for the curvature that its residuals, in w, show.
+    """Correct a rejected trial for the curvature that its residuals, in w, show.
 
-    Along the step v they are r + J v + b, where b is the bend of the residuals. The corrected step
-    minimises |J s + r + b|^2 with the same damping: to second order it is v and half the geodesic
-    acceleration (Transtrum and Sethna, 2012), for no more derivatives. False where derivatives are
-    not stored or updated, where the trial was corrected already, and where it would turn too far.
+    Along the step v the residuals are r + J v + b, with bend b. The corrected step minimises |J s +
+    r + b|^2 with the same damping: to second order it is v plus half the geodesic acceleration
+    (Transtrum and Sethna, 2012), without further derivatives. Returns false if derivatives are not
+    stored, or are updated ones, if the trial was corrected already, or if it would turn too far.
     """
     d = c.x.shape[1]
     if c.derivatives.shape[2] == 0 or c.projects[i] or c.secants[i]:
@@ -204,10 +205,10 @@ def correct_trial(c: GNCandidates, i: int, m: int, rules: GNRules, w: Work) -> b
 def set_damping(c: GNCandidates, i: int, n: int, alike: bool, scale: Array) -> None:
     """Write the damping of the first n coordinates as square roots.
 
-    The more damping, the more alike coordinates count. A scale is what derivatives say of a
-    parameter where the candidate is; long steps along those without effect there would be refused.
-    Without `alike` the scales alone count: on fewer rows than all, where candidates are many and
-    steps cheap, and where it is judged whether a descent is done.
+    The stronger the damping, the more equally coordinates count. A scale is the size of a
+    parameter's derivatives at the candidate; long steps along parameters without effect there would
+    be rejected. Without `alike` the scales alone count: on fewer than all rows, where there are
+    many candidates and steps are cheap, and to decide whether a descent is done.
     """
     largest = 0.0
     for k in range(n):
@@ -220,13 +221,13 @@ def set_damping(c: GNCandidates, i: int, n: int, alike: bool, scale: Array) -> N
 
 
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
-    """Store the residuals of a candidate beside its derivatives, if there is room for them."""
+    """Store the residuals of a candidate with its derivatives, if there is room for them."""
     if c.derivatives.shape[2]:
         copy(w.residuals[:m], c.derivatives[i, c.x.shape[1]])
 
 
 def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
-    """Broyden's update of the derivatives after a trial, in the metric of the scales D."""
+    """Broyden update of the derivatives after a trial, in the metric of the scales D."""
     x, trial, D = c.x[i], c.trial[i], c.D[i]
     total = 0.0
     for k in range(x.size):
@@ -237,7 +238,7 @@ def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
 
 
 def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
-    """Broyden's update of the columns (d + 1, m) after the step w.step, of squared length total."""
+    """Broyden update of the columns (d + 1, m) after the step w.step of squared length `total`."""
     d, step = D.size, w.step
     missing = w.residuals[:m] - columns[d, :m]
     for k in range(d):
@@ -249,7 +250,7 @@ def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> N
 
 
 def refold(columns: Array, count: int, last: Array, m: int, w: Work) -> None:
-    """The triangular factor of the first `count` columns (., m) and of `last`, into w.T."""
+    """Triangular factor of the first `count` columns (., m) and of `last`, into w.T."""
     clear(w.T)
     for start in range(0, m, CHUNK):
         size = min(CHUNK, m - start)
@@ -260,7 +261,7 @@ def refold(columns: Array, count: int, last: Array, m: int, w: Work) -> None:
 
 
 def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w: Work) -> None:
-    """Set the next trial of a candidate whose derivatives are known; or it is done."""
+    """Set the next trial of a candidate with known derivatives, or mark it as done."""
     d = c.x.shape[1]
     n = box.nonlinear.size if c.projects[i] else d
     x, trial = c.x[i], c.trial[i]
@@ -272,7 +273,7 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
     for k in range(n):
         at = x[box.nonlinear[k]] if c.projects[i] else x[k]
         low[k], high[k] = max(-at, -rules.reach), min(1 - at, rules.reach)
-    # Solve with less and less damping until the linear model promises enough.
+    # Decrease the damping until the predicted gain is large enough.
     total = c.loss[i] * m
     square = 0.0
     for k in range(n):
@@ -290,11 +291,11 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
             break
         if c.damping[i] <= DONE_DAMPING or predicted <= DONE_LESS * rules.tolerance:
             c.stage[i] = DONE
-            if c.secants[i] and rules.last:  # by updated derivatives: evaluate them and see
+            if c.secants[i] and rules.last:  # by updated derivatives: evaluate them first
                 c.stage[i], c.secants[i] = SLOPES, 0
             return
         c.damping[i] *= LESS
-    # A step that rounding makes none ends the descent.
+    # A step that rounding removes ends the descent.
     for k in range(d):
         trial[k] = x[k]
     differs = False
@@ -306,7 +307,7 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
 
 
 def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
-    """|R (x_i - x)|^2: by how much the linear model of a candidate changes on the way to x (d,)."""
+    """|R (x_i - x)|^2: the change of a candidate's linear model from x_i to x (d,)."""
     n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
     for row in range(n):
         value = 0.0
@@ -320,7 +321,7 @@ def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
 def nears_known_minimum(
     c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules
 ) -> bool:
-    """Whether a candidate is on its way to a minimum that is known, and no better."""
+    """Whether a candidate is on its way to a known minimum, and no better."""
     near = rules.near * c.loss[i] * m
     for k in range(minima.loss.size if rules.ending else 0):
         loss = minima.sums[k, rules.level] / m
@@ -333,7 +334,7 @@ def nears_known_minimum(
 def prepare(
     c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules, w: Work
 ) -> bool:
-    """Bring a candidate to its next evaluation; false where it needs none in this block."""
+    """Bring a candidate to its next evaluation; false if it needs none in this block."""
     while c.stage[i] == SLOPES or c.stage[i] == READY:
         if c.stage[i] == READY and nears_known_minimum(c, i, box, m, minima, rules):
             c.stage[i] = AT_KNOWN
@@ -347,7 +348,7 @@ def prepare(
 
 
 def crawls(c: GNCandidates, i: int, rules: GNRules) -> bool:
-    """Whether a candidate gains too little for the rows it costs, and has spent its allowance."""
+    """Whether a candidate gains too little for its rows, and has used its allowance."""
     if rules.patience == 0 or c.spent[i] - c.spent_at_mark[i] < rules.patience:
         return False
     if c.loss[i] > (1 - rules.progress) * c.loss_at_mark[i]:
@@ -357,10 +358,10 @@ def crawls(c: GNCandidates, i: int, rules: GNRules) -> bool:
 
 
 def solve_linear(c: GNCandidates, i: int, box: GNBox, m: int, w: Work) -> float:
-    """Move a trial to its best linear parameters, and give the loss there, by algebra.
+    """Move a trial to its best linear parameters, and return the loss there, by algebra.
 
     w.T is the triangular factor of their columns, in box widths, and of the residuals at w.theta.
-    The loss is infinite where that is not finite.
+    The loss is infinite if it is not finite.
     """
     p = box.linear.size
     for j in range(p + 1):
@@ -389,10 +390,10 @@ def solve_linear(c: GNCandidates, i: int, box: GNBox, m: int, w: Work) -> float:
 def after_evaluation(
     c: GNCandidates, i: int, loss: float, box: GNBox, m: int, rules: GNRules, best: float, w: Work
 ) -> None:
-    """Take a candidate on after an evaluation, with the loss that residuals or algebra gave.
+    """Advance a candidate after an evaluation, with the loss from residuals or from algebra.
 
-    The loss at solved linear parameters is known by algebra only: on all rows an improvement is
-    evaluated once more (RECORD), so that what the run records was evaluated.
+    The loss at solved linear parameters is known by algebra only. On all rows an improvement is
+    evaluated once more (RECORD), so that every recorded loss was evaluated.
     """
     if c.stage[i] == RECORD:
         c.stage[i] = c.stage_after_record[i]
@@ -409,7 +410,7 @@ def after_evaluation(
 
 
 def is_copy(c: GNCandidates, i: int, j: int, box: GNBox) -> bool:
-    """Whether candidate j, the worse of two, is a copy of i as far as the rows can tell."""
+    """Whether candidate j, the worse of two, is a copy of i as far as the rows show."""
     modelled = c.stage[i] == READY or c.stage[i] == DONE
     close = c.loss[j] - c.loss[i] <= COPY_LOSS * c.loss[i]
     if not (modelled and close):

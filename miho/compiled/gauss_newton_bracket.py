@@ -1,7 +1,7 @@
-"""The phases of a bracket: which candidates go on from steps to steps, and on how many rows.
+"""Phases of a bracket: which candidates continue, and on how many rows.
 
-Between two phases candidates make steps. Candidates are
-moved in their arrays, the best first; `order` (n,) is for positions of so many.
+Candidates make steps between two phases. They are moved within their arrays, the best first;
+`order` (n,) has room for their positions.
 """
 
 from __future__ import annotations
@@ -44,19 +44,22 @@ from miho.quantities import Integers
 
 NEAR, NEAR_LAST = 9.0, 0.1
 """A candidate is at a known minimum within this squared distance, in shares of its sum of squares
-and units of d / rows: the first is 3 standard deviations. On all rows it is at most the second, a
-share alone."""
+and units of d / rows; the first value is 3 standard deviations. On all rows it is at most the
+second value, a share alone."""
 BETTER = 4.0
-"""But not if its loss is lower than there by so many d / rows: more than fewer rows may explain."""
+"""But not if its loss is lower by more than this number of d / rows, which fewer rows may
+explain."""
 ENTERING = 1e-3
-"""The largest damping at the start of a level, for a candidate that was done on the one before."""
+"""Largest damping at the start of a level, for a candidate that was done on the previous one."""
 POLISHING = 50
-"""Steps for more digits at most: in a narrow valley they would go on for long."""
+"""Steps of the final descent, at most; in a narrow valley they would take long."""
 
 
 def nearness(d: int, m: int, last: bool) -> tuple[float, float]:
-    """The squared distance within which a candidate is at a known minimum, and by which share its
-    loss is lower where it is not, on m rows."""
+    """Tolerances on m rows for a candidate at a known minimum.
+
+    They are the largest squared distance, and the share by which its loss must not be lower.
+    """
     share = d / m
     if last:
         return min(NEAR * share, NEAR_LAST), 0.0
@@ -64,10 +67,10 @@ def nearness(d: int, m: int, last: bool) -> tuple[float, float]:
 
 
 def rules_of(place: Integers, level_rows: Integers, d: int, settings: GNSettings) -> GNRules:
-    """What the candidates of this phase may do."""
+    """Rules for the candidates of this phase."""
     phase, level = place[PHASE], place[LEVEL]
     m, last = level_rows[level], level == level_rows.size - 1
-    share = d / m  # of a loss, which so many rows do not tell from noise
+    share = d / m  # of a loss; a smaller change is noise
     near, better = nearness(d, m, last)
     steps = UNLIMITED
     if phase == SCREEN:
@@ -106,16 +109,16 @@ def next_phase(
     minima: Minima,
     settings: GNSettings,
 ) -> bool:
-    """Begin the next phase after the steps of one; false where the bracket has ended.
+    """Begin the next phase after the steps of one; false if the bracket has ended.
 
-    It has if its last candidate has come to its end, or no candidate may lead to a minimum that is
-    not known. The record is to be made anew, since a level has derivatives of its own.
+    A bracket ends if its last candidate has come to its end, or if no candidate can lead to a new
+    minimum. The record must then be created again, because the derivatives depend on the level.
     """
     phase, last = place[PHASE], place[LEVEL] == level_rows.size - 1
     if phase > LEAD:
         return False
     sort_usable(c, place, order)
-    # A problem that is linear in all is solved already: look on more rows.
+    # A problem that is linear in all parameters is solved: evaluate more rows.
     if phase == SCREEN and settings.solved:
         if not place[SIZE] or last:
             place[PHASE] = SOLVED if place[SIZE] else EMPTY
@@ -125,7 +128,7 @@ def next_phase(
         return True
     if phase == SCREEN:
         return begin_rung(c, place, box, level_rows, settings, False)
-    # The best one of a rung has more steps, while the others wait.
+    # The best candidate of a rung makes more steps, while the others wait.
     if phase == RUNG and place[SIZE] and not last:
         begin(c, place, LEAD, 1)
         return True
@@ -133,7 +136,7 @@ def next_phase(
 
 
 def begin(c: GNCandidates, place: Integers, phase: int, active: int) -> None:
-    """Begin a phase: steps and progress are counted from here."""
+    """Begin a phase; steps and progress are counted from here."""
     place[PHASE], place[ACTIVE] = phase, active
     for i in range(active):
         c.trials[i] = c.spent[i] = c.spent_at_mark[i] = 0
@@ -148,12 +151,12 @@ def begin_rung(
     settings: GNSettings,
     entering: bool,
 ) -> bool:
-    """Give the best candidates their steps on this level; the last one, all that it needs."""
+    """Give the best candidates their steps on this level; a single one has no limit."""
     size = place[SIZE]
     if not size:
         place[PHASE] = EMPTY
         return False
-    # A step costs derivatives and a look.
+    # A step costs derivatives and one evaluation.
     share = level_rows[place[LEVEL]] / level_rows[-1]
     solved = box.linear.size if settings.projects else 0
     step_cost = (
@@ -169,7 +172,7 @@ def begin_rung(
 
 
 def enter(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings) -> None:
-    """Have the candidates evaluated on the rows of the next level."""
+    """Mark the candidates for an evaluation on the rows of the next level."""
     last = place[LEVEL] == level_rows.size - 1
     for i in range(place[SIZE]):
         done = c.stage[i] == DONE
@@ -182,7 +185,7 @@ def enter(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSe
 def look_again(
     c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings
 ) -> None:
-    """Have residuals and derivatives of the candidates evaluated where they are."""
+    """Mark the candidates for an evaluation of residuals and derivatives at the same place."""
     for i in range(place[SIZE]):
         c.loss[i] = c.predicted_gain[i] = math.inf
         c.stage[i], c.growth[i], c.secants[i] = ENTER, 2.0, 0
@@ -192,7 +195,7 @@ def look_again(
 
 
 def make_room(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings) -> None:
-    """Have derivatives stored on this level, if there is room and they may be updated."""
+    """Store derivatives on this level, if there is room and they may be updated."""
     m, size = level_rows[place[LEVEL]], place[SIZE]
     stores = size * (c.x.shape[1] + 1) * m <= settings.room
     if settings.compiled and c.projects[:size].sum() == size:
@@ -209,7 +212,7 @@ def prune(
     minima: Minima,
     settings: GNSettings,
 ) -> bool:
-    """Go on, on more rows, with the candidates that may lead to a minimum that is not known."""
+    """Continue on more rows with the candidates that may lead to a new minimum."""
     level, size = place[LEVEL], place[SIZE]
     least = math.inf
     for k in range(minima.loss.size):
@@ -223,7 +226,7 @@ def prune(
         place[PHASE] = RETURNED if size else EMPTY
         return False
     keep(c, place, order, count)
-    # Copies of better ones end.
+    # Drop copies of better candidates.
     count = 0
     for j in range(place[SIZE]):
         new = True
@@ -239,7 +242,7 @@ def prune(
 
 
 def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
-    """Keep those with finite losses, the best first."""
+    """Keep the candidates with finite losses, the best first."""
     size = int(place[SIZE])
     usable = np.flatnonzero((c.stage[:size] != UNUSABLE) & np.isfinite(c.loss[:size]))
     order[: usable.size] = usable[np.argsort(c.loss[usable], kind="stable")]
@@ -247,7 +250,7 @@ def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
 
 
 def keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
-    """Move the candidates at the first `count` positions of `order` to the front, so ordered."""
+    """Move the candidates at the first `count` positions of `order` to the front, in this order."""
     for array in c[:4]:
         array[:count] = array[order[:count]]
     place[SIZE] = count

@@ -1,9 +1,8 @@
-"""The records of arrays behind Gauss-Newton descents, for the machine and for Python alike.
+"""Records of arrays for Gauss-Newton descents, shared by the machine and Python.
 
 A candidate is a configuration that descends: one row of the arrays of `GNCandidates`, and a small
-state machine whose `stage` says which evaluation it needs next. Coordinates x are those of the unit
-box: 0 and 1 are the bounds of a parameter, and in between it is linear or logarithmic as its scale
-is.
+state machine whose `stage` determines its next evaluation. Coordinates x are in the unit box: 0 and
+1 are the bounds of a parameter, with a linear or logarithmic scale in between.
 """
 
 from __future__ import annotations
@@ -16,37 +15,54 @@ from numpy.typing import NDArray
 from miho.quantities import Array, Integers
 
 ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE = range(8)
-"""Stages. A candidate needs next: the residuals where it is (ENTER), the derivatives there, a step,
-the residuals of its trial, or the residuals of a solution whose loss only algebra gave (RECORD). Or
-its descent has ended: at a minimum (DONE), on the way to a known one, or without usable values."""
+"""Stages. The candidate needs: residuals at its position (ENTER), derivatives there, a step,
+residuals of its trial, or residuals of a solution whose loss is known by algebra only (RECORD). The
+last three are ends: at a minimum (DONE), on the way to a known one, or without usable values."""
 PHASE, LEVEL, SIZE, ACTIVE, STORED = range(5)
-"""Where a bracket stands, in the array `place` (5,): its phase; its level; how many candidates it
-has, the first ones; how many of them make steps; of how many rows derivatives are stored (0: they
-are not)."""
+"""Position of a bracket, in the array `place` (5,): its phase; its level; the number of its
+candidates, which come first; the number that make steps; the number of rows with stored derivatives
+(0 for none)."""
 COPY, COPY_LOSS = 0.5, 0.05
 """A candidate is a copy of a better one within this squared distance, in units of d / rows of the
 loss, if their losses differ by less than this share."""
 
 
 class GNCandidates(NamedTuple):
-    """The state of n candidates with d parameters, at a level of m rows.
+    """State of n candidates with d parameters, at a level of m rows.
 
-    x, trial (n, d): where each is, and where it looks next. loss (n,): mean square over the level's
-    rows. R (n, d, d), q (n, d): the triangular factor of the derivatives J = QR, and Q'r for the
-    residuals r. D (n, d): Moré's scales. damping, growth (n,): Nielsen's mu and nu. predicted_gain
-    (n,): by how much the linear model says that the trial lowers the sum of squares. sums (n,
-    levels): sums of squares over the rows of each level, of the last look at all rows. stage (n,):
-    see above; stage_after_record (n,): the stage that follows RECORD. secants (n,): how many times
-    running the derivatives were updated (Broyden) instead of evaluated; or CORRECTED, if the trial
-    is a corrected one. trials (n,): in this block. spent (n,): rows evaluated. loss_at_mark,
-    spent_at_mark (n,): loss and rows at the last mark, from which progress is measured. fading
-    (n,): a scale falls by no more than this factor from one step to the next; at 1 it never falls
-    (Moré, 1978). projects (n,): whether the linear parameters are solved for at every look.
-    derivatives (n, d + 1, m): where Broyden's update needs them, the derivatives by parameter and
-    last the residuals; else m = 0.
+    All fields but R and derivatives are views of `numbers` and `counts`, a row for each candidate,
+    because every array argument makes a call of the machine slower.
 
-    All but R and derivatives are views of `numbers` and `counts`, a row for each candidate, because
-    a call of the machine takes longer the more arrays it is given.
+    Attributes
+    ----------
+    x, trial : ndarray of shape (n, d)
+        Position and next trial, in unit coordinates.
+    loss : ndarray of shape (n,)
+        Mean square over the rows of the level.
+    R, q : ndarray of shape (n, d, d) and (n, d)
+        Triangular factor of the derivatives J = QR, and Q'r of the residuals r.
+    D : ndarray of shape (n, d)
+        Moré's scales.
+    damping, growth : ndarray of shape (n,)
+        Nielsen's mu and nu.
+    predicted_gain : ndarray of shape (n,)
+        Decrease of the sum of squares at the trial that the linear model predicts.
+    sums : ndarray of shape (n, levels)
+        Sums of squares over the rows of each level, from the last evaluation of all rows.
+    stage, stage_after_record : ndarray of shape (n,)
+        Stage, and the stage that follows RECORD.
+    secants : ndarray of shape (n,)
+        Consecutive Broyden updates of the derivatives, or CORRECTED for a corrected trial.
+    trials, spent : ndarray of shape (n,)
+        Trials in this block, and rows evaluated.
+    loss_at_mark, spent_at_mark : ndarray of shape (n,)
+        Loss and rows at the last mark, to measure progress.
+    fading : ndarray of shape (n,)
+        Smallest factor by which a scale decreases per step; 1 for never (Moré, 1978).
+    projects : ndarray of shape (n,)
+        Whether the linear parameters are solved at every evaluation.
+    derivatives : ndarray of shape (n, d + 1, m)
+        Derivatives by parameter, and the residuals last, for Broyden updates; else m = 0.
     """
 
     numbers: Array
@@ -85,23 +101,23 @@ class GNCandidates(NamedTuple):
         return views(numbers, counts, np.zeros((n, d, d)), np.zeros((n, d + 1, 0)))
 
     def first(self) -> GNCandidates:
-        """A copy of the first, without derivatives."""
+        """Copy of the first candidate, without derivatives."""
         nothing = np.zeros((1, self.x.shape[1] + 1, 0))
         return views(self.numbers[:1].copy(), self.counts[:1].copy(), self.R[:1].copy(), nothing)
 
     def with_derivatives(self, stored: Array, size: int, m: int) -> GNCandidates:
-        """The same with derivatives of m rows of the first `size`, in the numbers `stored`."""
+        """The same record with derivatives of m rows of the first `size` candidates, in stored."""
         n = self.x.shape[1] + 1
         derivatives = stored[: size * n * m].reshape((size, n, m))
         return views(*self[:3], derivatives)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copied and pickled as views of four arrays, which a tuple of fields would not stay."""
+        """Copy and pickle as views of four arrays, which separate fields would not remain."""
         return views, self[:4]
 
 
 def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNCandidates:
-    """The record whose fields are views of `numbers` (n, 4 d + 6 + levels) and `counts` (n, 7)."""
+    """Record whose fields are views of `numbers` (n, 4 d + 6 + levels) and `counts` (n, 7)."""
     d = R.shape[1]
     return GNCandidates(
         numbers,
@@ -130,7 +146,7 @@ def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNC
 
 
 class GNBox(NamedTuple):
-    """A space as the steps need it, d parameters.
+    """A space in the form that steps need, with d parameters.
 
     low, high (d,): bounds in units. origin, width (d,): lower bounds and widths in search
     coordinates. log (d,): whether a scale is logarithmic. linear, nonlinear: positions of the
@@ -147,8 +163,11 @@ class GNBox(NamedTuple):
 
 
 class Minima(NamedTuple):
-    """Known minima: x (k, d) in unit coordinates, loss (k,), sums of squares over the rows of each
-    level (k, levels), and whether the data determine all parameters there (k,)."""
+    """Known minima.
+
+    They have x (k, d) in unit coordinates, loss (k,), sums of squares over the rows of each level
+    (k, levels), and whether the data determine all parameters there (k,).
+    """
 
     x: Array
     loss: Array
@@ -157,13 +176,26 @@ class Minima(NamedTuple):
 
 
 class GNSettings(NamedTuple):
-    """The settings of the search, of the problem and of one bracket, by which its phases go on.
+    """Settings of the search, of the problem and of one bracket.
 
-    The first are those of `MIHOGN`. A loss up to `rounding` is 0, derivatives cost `slope_cost`
-    evaluations, and residuals are the machine's if `compiled`. Candidates of the bracket have their
-    linear parameters solved for if it `projects`, and are `solved` thereby if there are no others.
-    A rung costs about `rung_budget` evaluations, a candidate that goes on `allowance` rows, and
-    derivatives are stored in `room` numbers at most.
+    The first fields are settings of `MIHOGN`.
+
+    Attributes
+    ----------
+    rounding : float
+        Largest loss that counts as 0.
+    slope_cost : int
+        Cost of derivatives, in evaluations.
+    compiled : bool
+        Whether the machine evaluates the residuals.
+    projects, solved : bool
+        Whether linear parameters are solved at every evaluation, and whether there are no others.
+    rung_budget : float
+        Evaluations of a rung, about.
+    allowance : int
+        Rows for a candidate that continues.
+    room : int
+        Largest number of stored derivatives.
     """
 
     eta: int
@@ -187,16 +219,31 @@ class GNSettings(NamedTuple):
 
 
 class GNRules(NamedTuple):
-    """What a block of steps may do.
+    """Rules of a block of steps.
 
-    The rows are those of `level` (`last`: all). A candidate has at most `steps` trials, none longer
-    than `reach` box widths. It is done where the predicted gain is below the share `tolerance` of
-    the sum of squares, or its loss is at most `rounding`. Up to `secants` steps running take
-    Broyden's derivatives. A candidate that gains less than the share `progress` of its loss over
-    `patience` rows crawls: it stops as soon as it has spent `allowance` rows (`patience` 0: never).
-    It is on its way to a known minimum within the squared distance `near`, in shares of its sum of
-    squares, unless its loss is lower than there by the share `better`; only such minima that the
-    data determine are `ending` a descent: elsewhere it may come past and go on.
+    Attributes
+    ----------
+    level, last : int, bool
+        Level whose rows are used, and whether these are all rows.
+    steps : int
+        Largest number of trials of a candidate.
+    reach : float
+        Longest step, in box widths.
+    secants : int
+        Largest number of consecutive Broyden updates.
+    tolerance : float
+        A candidate is done if the predicted gain is below this share of the sum of squares.
+    patience, progress, allowance : int, float, int
+        A candidate that gains less than the share `progress` of its loss over `patience` rows (0:
+        unlimited) stops once it has used `allowance` rows.
+    near, better : float
+        Squared distance from a known minimum, in shares of the sum of squares, at which a candidate
+        is on its way to it, unless its loss is lower by the share `better`.
+    ending : bool
+        Whether known minima end descents; only minima that the data determine do, because a descent
+        may pass others.
+    rounding : float
+        Largest loss that counts as 0.
     """
 
     level: int

@@ -1,4 +1,4 @@
-"""Brackets of Gauss-Newton steps by the machine of `miho.core`, for models that it runs."""
+"""Brackets of Gauss-Newton steps on the machine of `miho.core`, for models that it runs."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from miho.compiled.kernel import Rows
 from miho.core import machine
 
 FINISHED, PAUSED, REACHED = range(3)
-"""How a block of steps ended: no candidate needs anything; the next evaluation would cost more rows
-than were allowed; or the target is reached."""
+"""End of a block of steps: no candidate needs anything; the next evaluation would exceed the
+allowed rows; or the target is reached."""
 
 
 def bracket_of(rows: Rows) -> Callable[..., int]:
-    """The machine's loop that takes a bracket on these rows to its end; it gives how it ended.
+    """Machine loop that runs a bracket on these rows to its end, and returns how it ended.
 
-    It takes the arrays of `GNCandidates` but their derivatives, which are in the next one; `place`
-    and `order`, box, rows of each level, minima and settings; how many rows it may spend at most,
-    the best loss so far, and a target; then arrays to write to. Each improvement is listed: the
-    rows spent up to and with it (`at`), its loss and its theta; one that reaches the target ends
-    the block. What was done is added to `tally` (5,): rows spent, improvements, losses that are NaN
-    or infinite, derivatives that are not finite. `room` is for `work`.
+    Its arguments are the arrays of `GNCandidates`, with the derivatives in the next array; `place`
+    and `order`; box, rows of each level, minima and settings; the largest number of rows to use,
+    the best loss so far, and a target; then output arrays. Each improvement is listed: the rows
+    used up to and including it (`at`), its loss and its theta; reaching the target ends the block.
+    `tally` (5,) is increased by the rows used, the improvements, the losses that are NaN or
+    infinite, and the derivatives that are not finite. `room` is for `work`.
     """
     return partial(machine().run_bracket, rows.calls, rows.kept, rows.X, rows.y)

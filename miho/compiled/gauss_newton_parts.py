@@ -1,7 +1,7 @@
-"""The parts of Gauss-Newton steps, for problems whose residuals come from Python.
+"""Parts of Gauss-Newton steps, for problems whose residuals come from Python.
 
-A bracket is cut here at its evaluations: Python asks for the next one, has the problem compute it,
-and hands the result back.
+A bracket is divided at its evaluations: Python requests the next one, the problem computes it, and
+the result is passed back.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def next_to_evaluate(
     c: GNCandidates, i: int, active: int, box: GNBox,
     m: int, minima: Minima, rules: GNRules, w: Work,
 ) -> int:  # fmt: skip
-    """The first candidate from i on that needs an evaluation, `active` if none before that does.
+    """First candidate from i on that needs an evaluation, `active` if there is none.
 
-    What it needs is to be evaluated at w.theta.
+    The evaluation is at w.theta.
     """
     while i < active and not prepare(c, i, box, m, minima, rules, w):
         i += 1
@@ -58,9 +58,9 @@ def entering(
     index: Integers,
     thetas: Array,
 ) -> int:
-    """How many of the first `active` are to be looked at for the first time, without projection.
+    """Number of the first `active` candidates that need a first evaluation without projection.
 
-    Writes their positions to `index` (n,), and where they are, in units, to `thetas` (n, d).
+    Writes their positions to `index` (n,), and their configurations in units to `thetas` (n, d).
     """
     count = 0
     for i in range(active):
@@ -116,7 +116,7 @@ def solve_columns(
     columns: Array,
     w: Work,
 ) -> float:
-    """`solve_linear` from columns (p + 1, m): the p linear parameters' and, last, the residuals."""
+    """`solve_linear` from columns (p + 1, m): the p linear parameters and, last, the residuals."""
     p, m = box.linear.size, columns.shape[1]
     refold(columns, p, columns[p], m, w)
     return float(solve_linear(c, i, box, m, w))
@@ -127,6 +127,6 @@ def after_steps(
     c: GNCandidates, stored: Array, place: Integers, order: Integers, box: GNBox,
     level_rows: Integers, minima: Minima, settings: GNSettings,
 ) -> bool:  # fmt: skip
-    """`next_phase`, with derivatives in the numbers `stored`."""
+    """`next_phase`, with derivatives in `stored`."""
     c = c.with_derivatives(stored, int(place[SIZE]), int(place[STORED]))
     return next_phase(c, place, order, box, level_rows, minima, settings)

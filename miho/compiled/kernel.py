@@ -1,4 +1,4 @@
-"""What the machine of formulas can do for a problem, as its users see it."""
+"""Interface of the machine of formulas for problems and methods."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 
 Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
-"""(inputs, theta) -> value: element by element, with the operators and NumPy's functions of
-numbers."""
+"""(inputs, theta) -> value: element by element, with operators and NumPy's functions of numbers."""
 
 
 NAN, INFINITE = "loss is nan", "loss is inf"
@@ -26,12 +25,21 @@ NAN, INFINITE = "loss is nan", "loss is inf"
 
 
 class Block(NamedTuple):
-    """What a block of evaluations did: the evaluations it spent, and its improvements.
+    """Result of a block of evaluations: their number and the improvements.
 
-    Improvement k came with evaluation `at[k]` of the block, at `thetas[k]` (d,) with `losses[k]`.
-    `rejected` counts values that could not be used, by reason. `finished` unless it stopped before
-    an evaluation that it was not allowed. `provisional`, for a run that has looked at nothing on
-    all rows of data yet, are the arguments of `Meter.note`: the cost of a look, losses, thetas.
+    Attributes
+    ----------
+    evaluations : float
+        Evaluations made.
+    at, losses, thetas : ndarray of shape (k,), (k,) and (k, d)
+        Evaluation within the block, loss and configuration of each improvement.
+    rejected : mapping of str to int
+        Unusable values by reason.
+    finished : bool
+        False if the next evaluation was not allowed.
+    provisional : tuple, optional
+        Arguments of `Meter.note` (cost, losses, thetas), for a run without an evaluation on all
+        rows.
     """
 
     evaluations: float
@@ -44,12 +52,12 @@ class Block(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Steps of mutation and acceptance: evaluate mutants of all rows of P, keep the better ones.
+    """Mutation steps: evaluate mutants of all rows of P, and keep the better of each pair.
 
-    P (n, d) and L (n,) are changed in place. The mutants of the first step are `first` (n, d),
-    those of step k are P + sigma[k - 1] noise[k - 1] within the bounds, with noise (steps - 1, n,
-    d) and sigma (steps - 1, d): bit for bit what `mutate` gives. With `early_stopping` a mutant is
-    given up as soon as it cannot be better than its parent, which changes no decision.
+    P (n, d) and L (n,) are changed in place. The mutants of the first step are `first` (n, d), of
+    step k they are P + sigma[k - 1] noise[k - 1] within the bounds, with noise (steps - 1, n, d)
+    and sigma (steps - 1, d), to the same bits as `mutate`. With `early_stopping` the loss of a
+    mutant stops as soon as it cannot be better than its parent, which changes no decision.
     """
 
     first: Array
@@ -62,16 +70,16 @@ class Steps(NamedTuple):
 
 
 Climb = Callable[[Steps, float, float], Block]
-"""(steps, best, target) -> what they did, with their improvements of `best`; ends after the step
-that reaches `target`. Each step counts one evaluation for each row, stopped early or not."""
+"""(steps, best, target) -> block with the improvements of `best`; ends after the step that reaches
+`target`. Each step counts as one evaluation for each row, stopped early or not."""
 
 
 class Rows(NamedTuple):
-    """Residuals and derivatives of the rows of the data, which the machine can call.
+    """Residuals and derivatives of the rows of the data, for the machine.
 
-    `calls` (4,) are addresses of two functions, of residuals and of derivatives, and of the tape
-    that each is given; what is there is `kept`, and has to live as long. X (p, N) and y (N,) hold
-    the data in the order of a fidelity.
+    `calls` (4,) are the addresses of two functions, for residuals and derivatives, and of the tapes
+    that they receive; `kept` owns the tapes and must live as long. X (p, N) and y (N,) are the data
+    in the order of a fidelity.
     """
 
     calls: Integers
@@ -81,11 +89,11 @@ class Rows(NamedTuple):
 
 
 class Kernel(Protocol):
-    """Fast forms of a problem's loss, each None where there is none."""
+    """Fast forms of a problem's loss, each None if unavailable."""
 
     @property
     def climb(self) -> Climb | None:
-        """Steps of mutation and acceptance, in units."""
+        """Mutation steps, in units."""
 
     @property
     def rows(self) -> Rows | None:
@@ -93,7 +101,7 @@ class Kernel(Protocol):
 
 
 class Formulas(Protocol):
-    """What the machine needs of a model; `miho.models.expression.Expression` documents it."""
+    """Interface of a model for the machine; see `miho.models.expression.Expression`."""
 
     @property
     def parameters(self) -> Mapping[str, str]:
@@ -101,27 +109,28 @@ class Formulas(Protocol):
 
     @property
     def value(self) -> Formula:
-        """The formula of the output."""
+        """Formula of the output."""
 
     @property
     def derivatives(self) -> Formula:
-        """The formula of its derivatives with respect to theta, a tuple."""
+        """Formula of its derivatives with respect to theta, a tuple."""
 
     @property
     def tapes(self) -> tuple[Tape, Tape] | None:
-        """The formulas of the output and of its derivatives as tapes, None without."""
+        """Formulas of the output and its derivatives as tapes, None without them."""
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) by NumPy."""
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Their derivatives (N, d) by NumPy."""
+        """Derivatives (N, d) by NumPy."""
 
 
 def kernel_for(taped: TapedLoss, model: Formulas, thetas: Array, *, name: str) -> FitKernel:
-    """Fast forms of the mean square of a model minus data, checked against NumPy's.
+    """Fast forms of the mean square of a model minus data, compared with NumPy.
 
-    They are checked at `thetas` (n, d), at their first use; `name` is the model's in a warning.
+    The comparison takes place at `thetas` (n, d), at the first use; `name` identifies the model in
+    a warning.
     """
     from miho.compiled.fit import FitKernel
 
@@ -136,10 +145,10 @@ def taped_loss(
     *,
     threads: int = 1,
 ) -> TapedLoss | None:
-    """The mean square of a model minus data by the machine, None where it cannot run the model.
+    """Mean square of a model minus data on the machine, None if it cannot run the model.
 
-    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
-    through them, or a function that returns it.
+    X (p, N) has the input columns, y (N,) the output. `order` (N,), or a function that returns it,
+    is the order of the rows in a loss.
     """
     tapes = None if machine() is None else model.tapes
     if tapes is None:

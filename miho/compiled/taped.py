@@ -1,4 +1,4 @@
-"""Values of a formula by the machine of `miho.core`."""
+"""Values of a formula on the machine of `miho.core`."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from miho.core import Tape, machine
 from miho.quantities import Array
 
 FIRST_BLOCK = 64
-"""Rows before the first test whether a candidate is beaten; then twice as many each."""
+"""Rows before the first test whether a candidate is worse than its parent; each next block is twice
+as long."""
 SHARE = 50_000
-"""A batch of so many model values is worth a further thread."""
+"""Model values of a batch that justify another thread."""
 
 
 @dataclass(frozen=True, eq=False)
 class TapedLoss:
     """Residuals of a formula, their derivatives and their mean square, from its two tapes.
 
-    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which some rows
-    are its first ones, or a function that returns it. A mean square is summed in blocks, and is the
-    same bits alone, in a batch, and on any number of `threads`.
+    X (p, N) has the input columns, y (N,) the output. `order` (N,), or a function that returns it,
+    is the order from which a number of first rows is taken. A mean square is summed in blocks and
+    has the same bits alone, in a batch, and on any number of `threads`.
     """
 
     value: Tape
@@ -39,7 +40,7 @@ class TapedLoss:
     _parts: dict[int, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
-        """Mean squares (n,) of parameter rows (n, d), over the first rows of the order if given."""
+        """Mean squares (n,) of parameter rows (n, d), over all or the first rows of the order."""
         X, y = self.ordered
         y = y[:rows]
         parts = min(self.threads, len(thetas), len(thetas) * y.size // SHARE)
@@ -90,7 +91,7 @@ class TapedLoss:
         return np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
 
     def _first(self, rows: int | None) -> tuple[Array, Array]:
-        """Inputs and output of the first rows of the order, or of all in their own."""
+        """Inputs and output of the first rows of the order, or of all rows, unordered."""
         if rows is None:
             return self.X, self.y
         if rows not in self._parts:
@@ -100,5 +101,5 @@ class TapedLoss:
 
 
 def equal_parts(n: int, count: int) -> list[slice]:
-    """Rows 0 to n in `count` parts, which differ by one row at most."""
+    """Rows 0 to n in `count` parts, whose sizes differ by at most one row."""
     return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]

@@ -1,4 +1,4 @@
-"""Threads that take parts of a batch, shared by all losses of a process."""
+"""Threads for parts of a batch, shared by all losses of a process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cache
 
 
 def threads_of(count: int) -> ThreadPoolExecutor:
-    """So many threads of this process: a fork has none of its parent's, and would wait for them."""
+    """Pool of this number of threads of this process; a fork has none of its parent's threads."""
     return _threads_of(count, os.getpid())
 
 

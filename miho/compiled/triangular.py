@@ -8,22 +8,23 @@ from typing import NamedTuple
 from miho.quantities import Array
 
 SINGULAR = 1e-14
-"""A pivot below this share of the largest one, or of its column, is taken for 0: its parameter
-depends on those before it, and stays where it is as long as the same others are free."""
+"""A pivot below this share of the largest pivot, or of its column, counts as 0: its parameter
+depends on the previous ones, and stays unchanged while the same others are free."""
 DEPENDENT = 0.5
-"""Marks such a parameter, beside those that are free (1) and those at a bound (0)."""
+"""Marks such a parameter; free parameters have 1, parameters at a bound 0."""
 
 
 def square_sum(r: Array, count: int) -> float:
-    """The sum of the squares of the first residuals."""
+    """Sum of the squares of the first residuals."""
     return float(r[:count] @ r[:count])
 
 
 def fold(T: Array, columns: Array, count: int, n: int) -> None:
-    """Update T, the triangular factor of all rows so far, by `count` more, given as n columns.
+    """Update T, the triangular factor of all previous rows, by `count` rows, given as n columns.
 
     By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix Computations,
-    section 5.2): the factor of any number of rows, chunk by chunk. Overwrites the columns.
+    section 5.2), which gives the factor of any number of rows, chunk by chunk. Overwrites the
+    columns.
     """
     rows = columns[:n, :count]
     for k in range(n):
@@ -41,7 +42,7 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
 
 
 class SolverScratch(NamedTuple):
-    """Arrays in which `solve_in_box` works, for at most d parameters.
+    """Work arrays of `solve_in_box`, for at most d parameters.
 
     free (d,): 1, 0 or DEPENDENT; solution (d,); columns (d + 1, 2 d); T (d + 1, d + 1).
     """
@@ -65,11 +66,16 @@ def solve_in_box(
     """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s, by an active set.
 
     R is triangular in its first n rows and columns; q, scale, low and high are (n,) or longer, low
-    <= 0 <= high. First, all parameters that a solution would take out of the box are fixed at its
-    bounds at once, and the others solved for again. Then the fixed one with the steepest gradient
-    inwards is freed, and the way to the new solution ends at the first bound, so that each step
-    lowers the sum of squares, until the Karush-Kuhn-Tucker conditions hold (Stark and Parker,
-    Computational Statistics 10, 1995), or 3 n have been freed.
+    <= 0 <= high. First, all parameters that the solution would take out of the box are fixed at its
+    bounds at once, and the others are solved again. Then the fixed parameter with the steepest
+    inward gradient is freed, and the step to the new solution ends at the first bound, so that each
+    step decreases the sum of squares, until the Karush-Kuhn-Tucker conditions hold [1]_, or 3 n
+    parameters were freed.
+
+    References
+    ----------
+    .. [1] P. B. Stark, R. L. Parker, "Bounded-variable least-squares", Computational Statistics 10
+       (1995) 129-141.
     """
     free = scratch.free
     for k in range(n):
@@ -95,7 +101,7 @@ def solve_in_box(
 
 
 def row_of(R: Array, q: Array, n: int, s: Array, row: int) -> float:
-    """A row of R s + q."""
+    """One row of R s + q."""
     value = 0.0
     for k in range(row, n):
         value += R[row, k] * s[k]
@@ -114,7 +120,7 @@ def norm(R: Array, q: Array, n: int, s: Array) -> float:
 def factor_of_free(
     R: Array, q: Array, scale: Array, n: int, s: Array, scratch: SolverScratch
 ) -> int:
-    """The factor of the free parameters, the others fixed, into scratch.T; how many are free."""
+    """Factor of the free parameters, the others fixed, into scratch.T; returns their number."""
     free, columns, T = scratch.free, scratch.columns, scratch.T
     count = 0
     for k in range(n):
@@ -137,10 +143,10 @@ def factor_of_free(
 
 
 def independent(n: int, count: int, scratch: SolverScratch) -> bool:
-    """Whether no free parameter depends on those before it; the first that does is marked.
+    """Whether no free parameter depends on previous ones; marks the first that does.
 
-    The factor has to be made anew without it: what remains of its column is rounding, but takes up
-    a row of the factor.
+    The factor must then be computed again without it: its column has only rounding left, but uses a
+    row of the factor.
     """
     T, largest, j = scratch.T, 0.0, 0
     for k in range(count):
@@ -168,10 +174,10 @@ def _minimise_free(
     stop: bool,
     scratch: SolverScratch,
 ) -> bool:
-    """Move the free parameters to their minimum, those that leave the box to its bounds.
+    """Move the free parameters to their minimum, and parameters that leave the box to its bounds.
 
-    With `stop` they move on the straight way to it as far as the first bound. Gives whether any
-    came to a bound; those are fixed there.
+    With `stop` they move on the straight line to the minimum up to the first bound. Parameters that
+    reach a bound are fixed there; returns whether any did.
     """
     free, solution, T = scratch.free, scratch.solution, scratch.T
     # The factor of the free parameters, without those that depend on others.
@@ -187,7 +193,7 @@ def _minimise_free(
         for other in range(j + 1, count):
             right -= T[j, other] * solution[other]
         solution[j] = right / T[j, j]
-    # The share of the way to it that ends at the first bound.
+    # Share of the step up to the first bound.
     share, j = 1.0, 0
     for k in range(n):
         if free[k] == 1.0:
@@ -195,7 +201,7 @@ def _minimise_free(
             if stop and bound != solution[j]:
                 share = min(share, (bound - s[k]) / (solution[j] - s[k]))
             j += 1
-    # Go there; what comes to a bound is fixed.
+    # Make the step, and fix parameters that reach a bound.
     fixed, j = False, 0
     for k in range(n):
         if free[k] == 1.0:

@@ -1,4 +1,4 @@
-"""The arrays in which Gauss-Newton steps are worked out, as parts of one array."""
+"""Work arrays of Gauss-Newton steps, as parts of one array."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from miho.compiled.triangular import SolverScratch
 from miho.quantities import Array
 
 CHUNK = 512
-"""Rows at a time: their derivatives stay in the first-level cache."""
+"""Rows per chunk; their derivatives stay in the first-level cache."""
 
 
 class Work(NamedTuple):
-    """Arrays for the steps of one candidate with d parameters, m rows and some levels.
+    """Work arrays for the steps of one candidate with d parameters, m rows and some levels.
 
     theta, step, low, high, scale (d,): the configuration in units, a step, its bounds and damping.
     sums (levels,): sums of squares. T (d + 1, d + 1): a triangular factor. chunk (d + 1, CHUNK):
-    columns to fold into it. slopes (d, CHUNK), residuals (m,): as the problem gives them.
+    columns to fold into T. slopes (d, CHUNK), residuals (m,): values from the problem.
     """
 
     theta: Array
@@ -33,7 +33,7 @@ class Work(NamedTuple):
 
 
 def room_for(d: int, m: int, levels: int) -> int:
-    """How many numbers `work` needs."""
+    """Number of elements that `work` needs."""
     return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
 
 
@@ -76,10 +76,10 @@ def work(room: Array, d: int, m: int, levels: int) -> Work:
 
 
 def clear(T: Array) -> None:
-    """Make all numbers 0."""
+    """Set all elements to 0."""
     T[:] = 0.0
 
 
 def copy(source: Array, target: Array) -> None:
-    """Copy all numbers of one array to another."""
+    """Copy all elements of one array to another."""
     target[: source.size] = source
