@@ -1,8 +1,8 @@
 """Formulas as tapes of operations, and the machine that runs them.
 
-Below all other rooms: it knows arrays, no graph and no model. The machine is C, built when the
-library is installed; NumPy's form of it gives the same to rounding. It also searches formulas, by
-the brackets of `MIHOGN`, whose Python form is that of `miho.compiled`, and makes thousands of small
+This package knows arrays, but no graph and no model. The machine is written in C and built with the
+library; a NumPy form gives the same results up to rounding. The machine also searches with formulas
+by the brackets of `MIHOGN`, whose Python form is in `miho.compiled`, and makes thousands of small
 fits of a formula.
 """
 

@@ -1,18 +1,18 @@
-/* The phases of a bracket: which candidates go on from steps to steps, and on how many rows.
-   miho/compiled/gauss_newton_bracket.py says the same in Python. */
+/* Phases of a bracket: which candidates continue, and on how many rows. Python form:
+   miho/compiled/gauss_newton_bracket.py. */
 #include <math.h>
 #include <string.h>
 #include "search.h"
 
 /* A candidate is at a known minimum within this squared distance, in shares of its sum of squares
-   and units of d / rows: the first is 3 standard deviations. On all rows it is at most the second,
-   a share alone. */
+   and units of d / rows: the first value is 3 standard deviations. On all rows it is at most the
+   second value, a share alone. */
 #define NEAR 9.0
 #define NEAR_LAST 0.1
-/* But not if its loss is lower than there by so many d / rows: more than fewer rows may explain. */
+/* But not if its loss is lower by more than this number of d / rows. */
 #define BETTER 4.0
-#define ENTERING 1e-3   /* the largest damping at the start of a level, for one that was done */
-#define POLISHING 50    /* steps for more digits at most: a narrow valley could take long */
+#define ENTERING 1e-3   /* largest at the start of a level, if it was done */
+#define POLISHING 50    /* steps of the final descent, at most */
 #define UNLIMITED ((int64_t)1 << 40)
 
 static int on_all_rows(const search *s) { return s->place[AT_LEVEL] == s->p.levels - 1; }
@@ -55,13 +55,13 @@ void divide_room(search *s, double *room, int64_t size) {
     w->residuals = w->solver.T + side * side;
 }
 
-/* What the candidates of this phase may do. */
+/* Set the rules for the candidates of this phase. */
 static void set_rules(search *s) {
     const search_settings *from = &s->settings;
     int64_t phase = s->place[PHASE];
     int last = on_all_rows(s), polishes = phase == POLISH;
     s->m = rows_of_level(s);
-    double share = (double)s->p.d / (double)s->m; /* of a loss, which rows do not tell from noise */
+    double share = (double)s->p.d / (double)s->m; /* of a loss; a smaller change is noise */
     double patience = from->patience * (double)(s->p.d + 1) * (double)s->m;
     double tolerance = polishes ? from->digits : from->tolerance;
     int alone = phase == LEAD || phase == FINISH || phase == REVIVE;
@@ -80,7 +80,7 @@ static void set_rules(search *s) {
     };
 }
 
-/* Exchange the numbers of two arrays. */
+/* Swap two arrays. */
 static void swap(void *a, void *b, size_t size) {
     unsigned char *x = a, *y = b, room[256];
     for (size_t k = 0; k < size; k += sizeof room) {
@@ -91,12 +91,12 @@ static void swap(void *a, void *b, size_t size) {
     }
 }
 
-/* Move the candidates at the first `count` positions of `order` to the front, so ordered. */
+/* Move the candidates at the first `count` positions of `order` to the front, in this order. */
 static void keep(search *s, int64_t count) {
     size_t number = sizeof(double), d = (size_t)s->p.d, m = (size_t)s->place[STORED];
     for (int64_t k = 0; k < count; k++) {
         int64_t i = s->order[k];
-        while (i < k) i = s->order[i]; /* what stood there has changed places since */
+        while (i < k) i = s->order[i]; /* the candidate there has moved since */
         if (i == k) continue;
         candidate a = candidate_at(s, i), b = candidate_at(s, k);
         swap(a.x, b.x, (4 * d + NUMBERS + (size_t)s->p.levels) * number);
@@ -107,7 +107,7 @@ static void keep(search *s, int64_t count) {
     s->place[SIZE] = count;
 }
 
-/* Keep those with finite losses, the best first. */
+/* Keep the candidates with finite losses, the best first. */
 static void sort_usable(search *s) {
     int64_t count = 0;
     for (int64_t i = 0; i < s->place[SIZE]; i++) {
@@ -121,7 +121,7 @@ static void sort_usable(search *s) {
     keep(s, count);
 }
 
-/* Begin a phase: steps and progress are counted from here. */
+/* Begin a phase; steps and progress are counted from here. */
 static void begin(search *s, int64_t phase, int64_t active) {
     s->place[PHASE] = phase;
     s->place[ACTIVE] = active;
@@ -132,7 +132,7 @@ static void begin(search *s, int64_t phase, int64_t active) {
     }
 }
 
-/* Have derivatives stored on this level, if there is room and they may be updated. */
+/* Store derivatives on this level, if there is room and they may be updated. */
 static void make_room(search *s) {
     int64_t m = rows_of_level(s), size = s->place[SIZE], projecting = 0;
     for (int64_t i = 0; i < size; i++) projecting += candidate_at(s, i).has->projects != 0;
@@ -142,7 +142,7 @@ static void make_room(search *s) {
     s->place[STORED] = stores ? m : 0;
 }
 
-/* Have residuals and derivatives of the candidates evaluated where they are. */
+/* Mark the candidates for an evaluation of residuals and derivatives at the same place. */
 static void look_again(search *s) {
     for (int64_t i = 0; i < s->place[SIZE]; i++) {
         candidate c = candidate_at(s, i);
@@ -156,7 +156,7 @@ static void look_again(search *s) {
     make_room(s);
 }
 
-/* Have the candidates evaluated on the rows of the next level. */
+/* Mark the candidates for an evaluation on the rows of the next level. */
 static void enter(search *s) {
     const search_settings *from = &s->settings;
     for (int64_t i = 0; i < s->place[SIZE]; i++) {
@@ -168,7 +168,7 @@ static void enter(search *s) {
     look_again(s);
 }
 
-/* Give the best candidates their steps on this level; the last one, all that it needs. */
+/* Give the best candidates their steps on this level; a single one has no limit. */
 static int begin_rung(search *s, int entering) {
     const search_settings *from = &s->settings;
     int64_t size = s->place[SIZE];
@@ -176,7 +176,7 @@ static int begin_rung(search *s, int entering) {
         s->place[PHASE] = EMPTY;
         return 0;
     }
-    /* A step costs derivatives and a look. */
+    /* A step costs derivatives and one evaluation. */
     double rows = (double)rows_of_level(s), all = (double)s->p.level_rows[s->p.levels - 1];
     double solved = from->projects ? (double)s->p.linears : 0.0;
     double cost = rows / all * (1.0 + solved) + (double)from->slope_cost * rows / all;
@@ -189,7 +189,7 @@ static int begin_rung(search *s, int entering) {
     return 1;
 }
 
-/* Copies of better ones end. */
+/* Drop copies of better candidates. */
 static void drop_copies(search *s) {
     int64_t count = 0;
     for (int64_t j = 0; j < s->place[SIZE]; j++) {
@@ -204,7 +204,7 @@ static void drop_copies(search *s) {
     keep(s, count);
 }
 
-/* Go on, on more rows, with the candidates that may lead to a minimum that is not known. */
+/* Continue on more rows with the candidates that may lead to a new minimum. */
 static int prune(search *s) {
     int64_t level = s->place[AT_LEVEL], size = s->place[SIZE], count = 0;
     double least = INFINITY;
@@ -228,14 +228,14 @@ static int prune(search *s) {
     return begin_rung(s, entering);
 }
 
-/* Begin the next phase after the steps of one; 0 where the bracket has ended. It has if its last
-   candidate has come to its end, or no candidate may lead to a minimum that is not known. */
+/* Begin the next phase after the steps of one; 0 if the bracket has ended, because its last
+   candidate has come to its end, or no candidate can lead to a new minimum. */
 static int next_phase(search *s) {
     int64_t phase = s->place[PHASE];
     int last = on_all_rows(s);
     if (phase > LEAD) return 0;
     sort_usable(s);
-    /* A problem that is linear in all is solved already: look on more rows. */
+    /* A problem that is linear in all parameters is solved: evaluate more rows. */
     if (phase == SCREEN && s->settings.solved) {
         if (!s->place[SIZE] || last) {
             s->place[PHASE] = s->place[SIZE] ? SOLVED : EMPTY;
@@ -246,7 +246,7 @@ static int next_phase(search *s) {
         return 1;
     }
     if (phase == SCREEN) return begin_rung(s, 0);
-    /* The best one of a rung has more steps, while the others wait. */
+    /* The best candidate of a rung makes more steps, while the others wait. */
     if (phase == RUNG && s->place[SIZE] && !last) {
         begin(s, LEAD, 1);
         return 1;
@@ -257,7 +257,7 @@ static int next_phase(search *s) {
 int run_bracket(search *s) {
     do {
         set_rules(s);
-        /* All starts that are left descend to the phase's end; then the best go on. */
+        /* All remaining starts descend to the end of the phase; then the best continue. */
         for (int64_t i = 0; i < s->place[ACTIVE]; i++) {
             int state = descend(s, i);
             if (state != FINISHED) return state;

@@ -1,4 +1,4 @@
-/* Steps of mutation and acceptance, see climb.h. */
+/* Mutation steps, see climb.h. */
 #include <stdlib.h>
 #include <string.h>
 #include "climb.h"
@@ -8,7 +8,7 @@ static double between(double x, double low, double high) {
     return y > high ? high : y;
 }
 
-/* The mutant of row i in step k (Eq. 2); those of the first step are given. */
+/* Mutant of row i in step k (Eq. 2); mutants of the first step are given. */
 static void mutate(const climb *c, int64_t k, int64_t i, double *mutant) {
     if (!k) {
         memcpy(mutant, c->first + i * c->d, c->d * sizeof(double));
@@ -20,7 +20,7 @@ static void mutate(const climb *c, int64_t k, int64_t i, double *mutant) {
         mutant[j] = between(noise[j] * sigma[j] + parent[j], c->low[j], c->high[j]);
 }
 
-/* A mutant that is better than its parent takes its place, and is listed if it is the best. */
+/* Replace the parent by a better mutant, and list it if it is the best. */
 static void accept(climb *c, int64_t i, double value, const double *mutant, int64_t evaluations,
                    climbed *done) {
     memcpy(c->P + i * c->d, mutant, c->d * sizeof(double));

@@ -19,10 +19,9 @@ static void subtract(double *a, double factor, const double *b, int64_t rows) {
     _Pragma("GCC ivdep") for (int64_t i = 0; i < rows; i++) a[i] -= factor * b[i];
 }
 
-/* Update T (side, side), the triangular factor of all rows so far, by more rows, given as n
+/* Update T (side, side), the triangular factor of all previous rows, by more rows, given as n
    columns. By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix
-   Computations, section 5.2): the factor of any number of rows, chunk by chunk. Overwrites the
-   columns. */
+   Computations, section 5.2), chunk by chunk. Overwrites the columns. */
 static void fold(double *T, int64_t side, double *columns, int64_t stride, int64_t rows,
                  int64_t n) {
     for (int64_t k = 0; k < n; k++) {
@@ -41,8 +40,8 @@ static void fold(double *T, int64_t side, double *columns, int64_t stride, int64
     }
 }
 
-/* Broyden's update of the columns (d + 1, m), the last of which are the residuals, after a step
-   whose square length in the metric of the scales D is `total`, to other residuals (m,). */
+/* Broyden update of the columns (d + 1, m), with the residuals last, after a step of squared length
+   `total` in the metric of the scales D, to new residuals (m,). */
 static void update_columns(double *columns, const double *residuals, const double *step,
                            const double *D, double total, int64_t d, int64_t m) {
     double missing[MOST_ROWS];

@@ -1,12 +1,12 @@
-/* Descents of one candidate: its evaluations, one after the other, and its steps between them.
+/* Descent of one candidate: its evaluations, one after the other, and the steps between them.
    Derivatives are folded into triangular factors chunk by chunk, so that memory does not grow with
-   the number of rows. tests/core/python_bracket.py says the same in Python. */
+   the number of rows. Python form: tests/core/python_bracket.py. */
 #include <math.h>
 #include <string.h>
 #include "elementary.h"
 #include "search.h"
 
-/* The configuration at unit coordinates x, in units. */
+/* Configuration at unit coordinates x, in units. */
 static void to_units(const problem *p, const double *x, double *theta) {
     for (int64_t k = 0; k < p->d; k++) {
         double value = p->origin[k] + p->width[k] * x[k];
@@ -15,9 +15,9 @@ static void to_units(const problem *p, const double *x, double *theta) {
     }
 }
 
-/* Move a trial to its best linear parameters, and give the loss there, by algebra. w.T is the
+/* Move a trial to its best linear parameters, and return the loss there, by algebra. w.T is the
    triangular factor of their columns, in box widths, and of the residuals at w.theta. The loss is
-   infinite where that is not finite. */
+   infinite if it is not finite. */
 static double solve_linear(search *s, candidate *c) {
     const problem *p = &s->p;
     const work_room *w = &s->w;
@@ -45,8 +45,8 @@ static double solve_linear(search *s, candidate *c) {
     return square / (double)s->m;
 }
 
-/* The sum of squares at w.theta over the rows of this level, and in w.sums those over the rows of
-   each. The residuals are left in w.residuals if they are to `keep`. */
+/* Sum of squares at w.theta over the rows of this level; w.sums takes the sums over the rows of
+   each level, and w.residuals the residuals to `keep`. */
 static double look(search *s, int keep) {
     const problem *p = &s->p;
     double total = 0.0;
@@ -71,13 +71,13 @@ static int is_linear(const problem *p, int64_t k) {
     return 0;
 }
 
-/* Derivatives in units as those in a coordinate of which 1 is this width. */
+/* Convert derivatives in units to a coordinate with this width. */
 static void scale_column(const double *slopes, double width, int64_t rows, double *scaled) {
     for (int64_t i = 0; i < rows; i++) scaled[i] = slopes[i] * width;
 }
 
-/* Scale the columns in w.slopes into w.chunk, in the order that `take_factor` expects, or those of
-   the linear parameters; how many. */
+/* Scale the columns in w.slopes into w.chunk, in the order of `take_factor`, or the linear ones
+   only; returns their number. */
 static int64_t order_columns(const search *s, const candidate *c, int only_linear, int64_t rows) {
     const problem *p = &s->p;
     const work_room *w = &s->w;
@@ -97,7 +97,7 @@ static int64_t order_columns(const search *s, const candidate *c, int only_linea
 }
 
 /* Write the triangular factor of derivatives and residuals at w.theta to w.T, chunk by chunk: of
-   the linear parameters only, in box widths, or of those that `take_factor` expects. */
+   the linear parameters only, in box widths, or in the order of `take_factor`. */
 static void fill(search *s, candidate *c, int only_linear) {
     const problem *p = &s->p;
     const work_room *w = &s->w;
@@ -120,7 +120,7 @@ static void fill(search *s, candidate *c, int only_linear) {
     }
 }
 
-/* List an improvement over all rows, found with the last m of the rows spent but for `more`. */
+/* List an improvement over all rows, found with the last m of the rows used, except for `more`. */
 static void list_improvement(search *s, double loss, int64_t more) {
     int64_t k = s->tally[IMPROVEMENTS]++;
     s->at[k] = s->tally[SPENT] - more;
@@ -140,7 +140,7 @@ int descend(search *s, int64_t i) {
         if (cost > s->most - s->tally[SPENT] || s->tally[IMPROVEMENTS] >= s->events) return PAUSED;
         s->tally[SPENT] += cost;
         c.has->spent += cost;
-        /* Derivatives, where it is. */
+        /* Derivatives at its position. */
         if (stage == SLOPES) {
             to_units(p, c.x, s->w.theta);
             fill(s, &c, 0);
@@ -148,13 +148,13 @@ int descend(search *s, int64_t i) {
             s->tally[UNUSABLES] += c.has->stage == UNUSABLE;
             continue;
         }
-        /* Or a look at its trial, recorded if it is an improvement over all rows. */
+        /* Or an evaluation of its trial, recorded if it is an improvement over all rows. */
         to_units(p, stage == RECORD ? c.x : c.trial, s->w.theta);
         double loss = look(s, c.derivatives && !project) / (double)m;
         s->tally[NANS] += isnan(loss) != 0;
         s->tally[INFINITIES] += isinf(loss) != 0;
         if (s->rules.last && loss < s->best) list_improvement(s, loss, cost - m);
-        /* The linear parameters are solved for from there. */
+        /* Solve for the linear parameters. */
         if (project && isfinite(loss)) {
             fill(s, &c, 1);
             loss = solve_linear(s, &c);

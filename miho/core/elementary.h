@@ -1,8 +1,8 @@
-/* Elementary functions without branches and tables, which the compiler turns into vector code.
+/* Elementary functions without branches and tables, which the compiler vectorises.
 
-   No product and sum is fused and nothing comes from the mathematical library, so that results are
-   the same bits on every processor and with every compiler. Errors, in units in the last place, are
-   in tests/core/test_elementary.py. */
+   No product and sum is fused, and nothing comes from the mathematical library, so that results
+   have the same bits on every processor and with every compiler. tests/core/test_elementary.py
+   states the errors, in units in the last place. */
 #ifndef MIHO_ELEMENTARY_H
 #define MIHO_ELEMENTARY_H
 
@@ -15,7 +15,7 @@
 #define NOT_A_NUMBER __builtin_nan("")
 #define SIGN_BIT 0x8000000000000000ull
 #define MANTISSA 0x000fffffffffffffull
-#define TO_WHOLE 0x1.8p52       /* added and subtracted it leaves the nearest whole number */
+#define TO_WHOLE 0x1.8p52       /* adding and subtracting it rounds to a whole number */
 #define ROOT_HALF 0x3fe6a09e667f3bcdull /* the bits of sqrt(1/2) */
 
 INLINE uint64_t bits_of(double x) { uint64_t bits; memcpy(&bits, &x, sizeof bits); return bits; }
@@ -53,7 +53,7 @@ INLINE double exp_of_sum(double x, double rest, double shift) {
     double k = to_whole(y * LN2_INVERSE_0);
     double r = (y - k * LN2_0) - (k * LN2_1 - rest);
     double p = 1.0 + (r * r * exp_polynomial(r) + r);
-    double half = to_whole(k * 0.5); /* the result may be beyond, or below, what 2^k can be */
+    double half = to_whole(k * 0.5); /* the result may be outside the range of 2^k */
     return p * two_to(half) * two_to((k - half) + shift);
 }
 INLINE double exp_of(double x) { return exp_of_sum(x, 0.0, 0.0); }
@@ -76,7 +76,7 @@ INLINE double split(double x, double *k) {
     *k = (of_bits(0x4330000000000000ull | (shifted >> 52)) - 0x1p52) - (1023.0 + up);
     return of_bits((shifted & MANTISSA) + ROOT_HALF);
 }
-/* The logarithm at the ends of its domain, beyond them, and y between. */
+/* Logarithm at the ends of its domain, beyond them, and y between. */
 INLINE double log_ends(double x, double y) {
     y = x == 0.0 ? -INFINITE : y;
     y = x < 0.0 ? NOT_A_NUMBER : y;
@@ -101,7 +101,7 @@ INLINE double log1p_of(double x) {
     return x == 0.0 ? x : x == INFINITE ? x : log_ends(u, y);
 }
 
-/* log|x| = its nearest double + rest, to some 2^-67 of it. */
+/* log|x| = its nearest double + rest, with a relative error of about 2^-67. */
 INLINE double log_parts(double x, double *rest) {
     double size = size_of(x), k, f = split(size, &k) - 1.0;
     double below = 2.0 + f, below_rest = f - (below - 2.0);
@@ -119,7 +119,7 @@ INLINE double log_parts(double x, double *rest) {
     double t_rest, t = product(cube, h, &t_rest);
     t_rest = t_rest + (cube * h_rest + cube_rest * h);
     double twice = 2.0 * s, m = twice + t, m_rest = ((twice - m) + t) + (t_rest + 2.0 * s_rest);
-    /* And k log(2). */
+    /* Add k log(2). */
     double kl = k * LN2_0, L = kl + m, back = L - kl;
     double low = ((kl - (L - back)) + (m - back)) + (m_rest + k * LN2_1);
     double sum = L + low;
@@ -140,7 +140,7 @@ INLINE double log2_of(double x) {
     return log_ends(x, k + (p + (lost + (L * LN2_INVERSE_1 + rest * LN2_INVERSE_0))));
 }
 
-/* x^y, given the parts of log|x|. */
+/* x^y from the parts of log|x|. */
 INLINE double power_of(double x, double y, double L, double L_rest) {
     double size = size_of(x), lost, e = product(L, y, &lost);
     double r = exp_of_sum(e, size_of(e) < 750.0 ? lost + L_rest * y : 0.0, 0.0);
@@ -150,7 +150,7 @@ INLINE double power_of(double x, double y, double L, double L_rest) {
     double endless = (size > 1.0) == (y > 0.0) ? INFINITE : 0.0;
     r = size_of(y) == INFINITE ? (size == 1.0 ? 1.0 : endless) : r;
     r = x != x ? x : y != y ? y : r;
-    /* A negative base has a value for a whole exponent, negative for an odd one. */
+    /* A negative base has a value for a whole exponent, negative if this is odd. */
     double z = size_of(y), half = 0.5 * z;
     int whole = (z >= 0x1p52) | ((z + 0x1p52) - 0x1p52 == z);
     int odd = (z < 0x1p53) & whole & ((half + 0x1p52) - 0x1p52 != half);
@@ -158,13 +158,13 @@ INLINE double power_of(double x, double y, double L, double L_rest) {
     r = odd ? with_sign(r, x) : r;
     return ((y == 0.0) | (x == 1.0)) ? 1.0 : r;
 }
-/* The parts of log(max(|x|, 1e-100)) from those of log|x|. */
+/* Parts of log(max(|x|, 1e-100)) from the parts of log|x|. */
 INLINE double floor_parts(double L, double L_rest, double *rest) {
     *rest = L < LOG_TINY_0 ? LOG_TINY_1 : L_rest;
     return L < LOG_TINY_0 ? LOG_TINY_0 : L;
 }
 
-/* An angle as n pi/2 + r + rest; n is in the last bits of what is returned. */
+/* An angle as n pi/2 + r + rest; n is in the last bits of the result. */
 INLINE uint64_t quarter_turns(double x, double *r, double *rest) {
     double shifted = x * (2.0 * 0x1.45f306dc9c883p-2) + TO_WHOLE, n = shifted - TO_WHOLE;
     double t = x - n * PI_HALF_SHORT_0, w = n * PI_HALF_SHORT_1, a = t - w;
@@ -192,7 +192,7 @@ INLINE double small_sine_cosine(double x, double *cosine) {
     return x == 0.0 ? x : sine;
 }
 
-/* The angle of (run, rise) in the first quarter, both 0 or more. */
+/* Angle of (run, rise) in the first quarter, both 0 or more. */
 INLINE double atan_of_ratio(double rise, double run) {
     const double third = 0x1.a827999fcef32p-2; /* tan(pi/8) */
     int steep = (rise * third > run) | (run == 0.0), middle = rise > run * third;
@@ -274,7 +274,7 @@ INLINE double hypot_of(double x, double y) {
     return ((a == INFINITE) | (b == INFINITE)) ? INFINITE : h;
 }
 
-/* NaN where any of both is, as NumPy has it. */
+/* NaN if either is NaN, as in NumPy. */
 INLINE double least(double a, double b) { return a != a ? a : b < a ? b : b != b ? b : a; }
 INLINE double largest(double a, double b) { return a != a ? a : b > a ? b : b != b ? b : a; }
 INLINE double sign_of(double x) {

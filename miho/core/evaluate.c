@@ -1,22 +1,22 @@
-/* Tapes on rows of data, block by block. What a call works in is allocated once for it. */
+/* Tapes on rows of data, block by block; each call allocates its work arrays once. */
 #include <stdlib.h>
 #include <string.h>
 #include "tape.h"
 
 struct workspace {
-    double **registers;     /* to the rows of each */
+    double **registers;     /* rows of each */
     double **each_scalar;
     double *scalars;
-    double *work;           /* registers of work, and room for one more */
-    int rows;               /* of a block */
+    double *work;           /* work registers, and room for one more */
+    int rows;               /* per block */
 };
 
 static int rows_of_block(const tape *t) {
     return t->registers - t->inputs > MANY_REGISTERS ? MOST_ROWS / 2 : MOST_ROWS;
 }
 
-/* For blocks of so many rows. False without memory. Besides, `workspace.registers` is all there is
-   to free. */
+/* Room for blocks of this number of rows, false without memory. Only `workspace.registers` has to
+   be freed. */
 static int allocate_rows(const tape *t, int rows, workspace *w) {
     size_t pointers = (size_t)t->registers + t->scalars;
     size_t of_work = t->registers - t->inputs - t->results + 1;
@@ -36,7 +36,7 @@ static int allocate_rows(const tape *t, int rows, workspace *w) {
 
 static int allocate(const tape *t, workspace *w) { return allocate_rows(t, rows_of_block(t), w); }
 
-/* What depends on the parameters alone. */
+/* Compute values that depend on the parameters alone. */
 static void start(const tape *t, const double *theta, workspace *w) {
     memcpy(w->scalars + t->constants, theta, t->parameters * sizeof(double));
     t->level->run(t->code, t->code + t->once, w->each_scalar, w->scalars, 1);
@@ -46,7 +46,7 @@ static void start(const tape *t, const double *theta, workspace *w) {
     }
 }
 
-/* All results of rows i to i + rows, no more than a block, `stride` numbers behind each other. */
+/* All results of rows i to i + rows, at most a block, at intervals of `stride` numbers. */
 static void block(const tape *t, const double *X, int64_t N, int64_t i, int rows, double *out,
                   int64_t stride, workspace *w) {
     const instruction *code = t->code + t->once;
@@ -113,7 +113,7 @@ void tape_residuals(const tape *t, const double *theta, const double *X, int64_t
 void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
                   int64_t j, double *out, int64_t stride) {
     workspace w;
-    if (!allocate(t, &w)) { /* residuals that are not finite end a descent */
+    if (!allocate(t, &w)) { /* non-finite residuals end a descent */
         for (int k = 0; k < t->results; k++) not_a_number(out + k * stride, j - i);
         return;
     }

@@ -1,15 +1,15 @@
-/* Sines and cosines of large angles, one at a time: x times 2 / pi with 192 bits behind what are
-   whole turns (Payne and Hanek 1983). */
+/* Sines and cosines of large angles, one at a time: x times 2 / pi with 192 bits after the whole
+   turns (Payne and Hanek 1983). */
 #ifndef MIHO_LARGE_ANGLES_H
 #define MIHO_LARGE_ANGLES_H
 
 #include "elementary.h"
 
-#define SMALL_ANGLE 0x1p20  /* up to here a whole number of quarter turns times 33 bits is exact */
+#define SMALL_ANGLE 0x1p20  /* up to here quarter turns times 33 bits are exact */
 #define WORDS 6
 
-/* The product modulo 4 of a large x and 2 / pi, as a number of 192 bits of which two are whole;
-   the highest word comes first. */
+/* Product modulo 4 of a large x and 2 / pi, as a number of 192 bits, two of them whole, with the
+   highest word first. */
 static void times_two_over_pi(double x, uint32_t fraction[WORDS]) {
     static const uint32_t table[TWO_OVER_PI_WORDS] = {TWO_OVER_PI};
     /* x = mantissa 2^e. Bits of 2 / pi above 2^(1-e) make multiples of four. */
@@ -21,7 +21,7 @@ static void times_two_over_pi(double x, uint32_t fraction[WORDS]) {
         uint64_t two = ((uint64_t)table[word] << 32) | table[word + 1];
         window[k] = (uint32_t)(two >> (32 - shift));
     }
-    /* By words of 32 bits, from the lowest; carries beyond the highest are whole turns. */
+    /* By words of 32 bits, from the lowest; carries beyond the highest word are whole turns. */
     uint64_t low = mantissa & 0xffffffffu, high = mantissa >> 32, carry = 0;
     for (int k = WORDS - 1; k >= 0; k--) {
         uint64_t a = low * window[k], b = k + 1 < WORDS ? high * window[k + 1] : 0;
@@ -31,7 +31,7 @@ static void times_two_over_pi(double x, uint32_t fraction[WORDS]) {
     }
 }
 
-/* Some 53 bits of a number of 192 bits, `from` bits behind its first. */
+/* About 53 bits of a number of 192 bits, starting at bit `from`. */
 static double bits_from(const uint32_t number[WORDS], int from) {
     double value = 0.0;
     for (int bit = from; bit < from + 53 && bit < 32 * WORDS; bit++)
@@ -39,12 +39,12 @@ static double bits_from(const uint32_t number[WORDS], int from) {
     return value;
 }
 
-/* As `quarter_turns`, for a finite x of any size from SMALL_ANGLE on. */
+/* `quarter_turns` for a finite x of any size from SMALL_ANGLE on. */
 static uint64_t large_quarter_turns(double x, double *r, double *rest) {
     uint32_t fraction[WORDS];
     times_two_over_pi(x, fraction);
     uint64_t n = fraction[0] >> 30;
-    int beyond = fraction[0] >> 29 & 1; /* more than half a quarter: from the next one back */
+    int beyond = fraction[0] >> 29 & 1; /* more than half a quarter: count back from the next one */
     for (int k = 0; k < WORDS; k++) {
         uint32_t next = k + 1 < WORDS ? fraction[k + 1] : 0;
         fraction[k] = fraction[k] << 2 | next >> 30;

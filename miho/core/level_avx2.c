@@ -1,5 +1,5 @@
-/* The operations with AVX2. The target is a pragma, so that any builder can compile the file; the
-   headers stand before it, since what they define may not be of another target. */
+/* The operations with AVX2. The target is a pragma, so that any builder can compile the file. The
+   headers come before it, because their definitions may not have another target. */
 #include <stdint.h>
 #include <string.h>
 #define LEVEL avx2

@@ -1,4 +1,4 @@
-/* The operations with AVX-512, in full width, as level_avx2.c has them. */
+/* The operations with AVX-512 in full width; see level_avx2.c. */
 #include <stdint.h>
 #include <string.h>
 #define LEVEL avx512

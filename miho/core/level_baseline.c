@@ -1,3 +1,3 @@
-/* The operations with what every processor of its kind has. */
+/* The operations with the instructions of every processor of its kind. */
 #define LEVEL baseline
 #include "operations.h"

@@ -1,15 +1,16 @@
-/* Descents of Levenberg and Marquardt within a box, of many small datasets one after the other.
-   miho/fitting/descents.py does the same with NumPy, for all of them side by side. */
+/* Levenberg-Marquardt descents within a box, of many small datasets one after the other. NumPy
+   form, for all datasets side by side: miho/fitting/descents.py. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include "elementary.h"
 #include "many.h"
 
-#define STEPS 200               /* of a descent at most */
-#define DAMPING 1e-3            /* at first */
-/* Gain over predicted gain above which the damping falls, and below which it grows; by so much.
-   After a step that gains nothing it grows by a factor that doubles each time (Nielsen, 1999). */
+#define STEPS 200               /* per descent, at most */
+#define DAMPING 1e-3            /* initial */
+/* Ratios of gain to predicted gain above which the damping decreases, and below which it increases,
+   and its factors. After a failed step it increases by a factor that doubles each time (Nielsen,
+   1999). */
 #define GOOD 0.75
 #define POOR 0.25
 #define LESS 0.1
@@ -17,38 +18,38 @@
 #define RESTART_DAMPING 1e-6
 #define SMALLEST_DAMPING 1e-12
 #define LARGEST_DAMPING 1e10
-#define FADING 0.3              /* a scale falls by no more from step to step */
-#define SMALLEST_SCALE 1e-10    /* as a share of the largest: of parameters without effect */
-#define REACH 0.25              /* of the box, in search coordinates: no step is longer */
-/* A step that gains less than this share of the sum of squares, or promises less, is the last. If
-   it promises less because of the damping, that falls. */
+#define FADING 0.3              /* largest decrease of a scale per step */
+#define SMALLEST_SCALE 1e-10    /* relative to the largest scale */
+#define REACH 0.25              /* longest step, as a share of the box */
+/* A step that gains, or promises, less than this share of the sum of squares is the last. If it
+   promises less because of the damping, the damping decreases. */
 #define STANDSTILL 1e-13
 #define DONE_DAMPING 1e-3
 #define TRIES 12
 #define LEAST 1e-300
-#define ROUNDING 3.5e-15        /* residuals of this share of the data are rounding */
+#define ROUNDING 3.5e-15        /* residuals below this share of the data are rounding */
 /* A descent is at a known minimum within this squared distance, in shares of its sum of squares and
    units of d / rows, or a share alone. */
 #define NEAR 9.0
 #define NEAR_LAST 0.1
-/* Of evidence, see miho/optim/evidence.py. */
+/* Evidence, see miho/optim/evidence.py. */
 #define AGREEING 1e-4
 #define ENOUGH 5
 #define SHARE 0.25
 #define BETTER 0.025
-#define DEPENDENT 1e-7          /* pivots below it, of columns of length 1, are of dependent ones */
-#define MOST_KEPT 4000000       /* values at common starts that are kept */
-#define OPERATIONS_OF_WATCH 4e6 /* between two looks whether to stop: milliseconds */
+#define DEPENDENT 1e-7          /* smaller pivots, of columns of length 1, are dependent */
+#define MOST_KEPT 4000000       /* stored values at common starts */
+#define OPERATIONS_OF_WATCH 4e6 /* between two checks whether to stop: milliseconds */
 
-/* A configuration in search coordinates, in which a logarithmic scale is even, and in units; the
+/* A configuration in search coordinates (logarithms of log-scale parameters) and in units; the
    triangular factor (d + 1, d + 1) of derivatives and residuals; and the sum of squares. */
 typedef struct {
     double *x, *theta, *R, squares;
     int converged;
 } place;
 
-/* The values at a start (rows,), an orthonormal basis of the columns of the linear parameters
-   (linears, rows), and the triangular factor (linears, linears) of these columns in it. */
+/* Values at a start (rows,), an orthonormal basis of the columns of the linear parameters (linears,
+   rows), and their triangular factor (linears, linears) in it. */
 typedef struct {
     double *values, *basis, *factor;
 } look;
@@ -64,20 +65,20 @@ typedef struct {
     double *chunk;              /* (d + 1, stride): columns to fold */
     double *columns;            /* (d + 1, longest): all results of the tape at a start */
     double *residuals;          /* (longest,) */
-    double *looks;              /* of one start, or kept of all */
-    uint8_t *is_kept;           /* (brackets size,) of those that are kept, NULL if none is */
-    double *q, *solved;         /* of a start (linears,); the best one at its linear values (d,) */
-    double *ends;               /* (brackets,): sums of squares at which descents ended */
+    double *looks;              /* of one start, or stored of all */
+    uint8_t *is_kept;           /* (brackets size,) stored starts, NULL if none */
+    double *q, *solved;         /* of a start (linears,); best with its linear values (d,) */
+    double *ends;               /* (brackets,): sums of squares at the ends of descents */
     solver_room solver;
     int64_t stride, longest, rows, descents;
     const double *X, *y;        /* of this dataset */
-    double zero;                /* a sum of squares up to it is 0 to rounding */
+    double zero;                /* largest sum of squares that is 0 up to rounding */
     double worked;
     int stopped;
 } fitter;
 
-/* Sums are in eight lanes: rows of zeros up to a multiple of eight change no bit of them, and cost
-   less than a rest. */
+/* Sums have eight lanes: rows of zeros up to a multiple of eight do not change their bits, and are
+   faster than a remainder. */
 static int64_t whole(int64_t rows) { return (rows + 7) / 8 * 8; }
 
 static void pad(double *column, int64_t rows) {
@@ -107,7 +108,7 @@ static void set_coordinates(const fitter *w, const double *theta, double *x) {
     }
 }
 
-/* The factor and the sum of squares at a place, infinite where that is not finite. */
+/* Factor and sum of squares at a place, infinite if not finite. */
 static void evaluate(fitter *w, place *at) {
     const many_data *data = w->data;
     int64_t d = data->d, side = d + 1, stride = w->stride;
@@ -133,7 +134,7 @@ static void evaluate(fitter *w, place *at) {
     if (!isfinite(at->squares)) at->squares = INFINITY;
 }
 
-/* Scales from the norms of columns; 0 where a derivative is not finite. */
+/* Scales from the norms of columns; 0 if a derivative is not finite. */
 static int set_scales(fitter *w, double fading) {
     int64_t d = w->data->d, side = d + 1;
     double largest = 0.0;
@@ -151,8 +152,8 @@ static int set_scales(fitter *w, double fading) {
     return 1;
 }
 
-/* Set the trial to the next step; how much that gains by the linear model, 0 if the descent is done
-   there. */
+/* Set the trial to the next step; returns the gain in the linear model, 0 if the descent is
+   done. */
 static double propose(fitter *w, double *damping) {
     int64_t d = w->data->d, side = d + 1;
     const double *x = w->here.x, *R = w->here.R;
@@ -209,7 +210,7 @@ static void exchange(place *a, place *b) {
     *b = kept;
 }
 
-/* Descend from `here`, where nothing is known yet. Gives whether it has come to the best minimum so
+/* Descend from `here`, without prior evaluations; returns whether it came to the best minimum so
    far. */
 static int descend_here(fitter *w) {
     double damping = DAMPING, growth = 2.0;
@@ -252,15 +253,15 @@ static void descend_from(fitter *w, const double *theta) {
     if (w->here.squares < w->best.squares) exchange(&w->here, &w->best);
 }
 
-/* Where the look at a start is kept, or made. */
+/* Place of the stored or new evaluation of a start. */
 static look look_of(const fitter *w, int64_t start) {
     int64_t L = w->data->linears, size = (L + 1) * w->longest + L * L;
     double *values = w->looks + (w->is_kept ? start * size : 0);
     return (look){values, values + w->longest, values + (L + 1) * w->longest};
 }
 
-/* Look at a start, by Gram's and Schmidt's method; a column that depends on those before it is left
-   out, with a pivot of 0. */
+/* Evaluate a start by the Gram-Schmidt method; a column that depends on previous ones is left out,
+   with a pivot of 0. */
 static look look_at(fitter *w, int64_t start, const double *theta) {
     const many_data *data = w->data;
     int64_t L = data->linears, n = w->rows, padded = whole(n);
@@ -290,8 +291,8 @@ static look look_at(fitter *w, int64_t start, const double *theta) {
     return at;
 }
 
-/* Solve for the linear parameters within the box, from their values at a start, into w.step; by how
-   much the sum of squares is larger for the box. */
+/* Solve for the linear parameters within the box, from their values at a start, into w.step;
+   returns the increase of the sum of squares that the box causes. */
 static double solve_linear(fitter *w, const look *at, const double *theta) {
     const many_data *data = w->data;
     int64_t L = data->linears;
@@ -314,8 +315,8 @@ static double solve_linear(fitter *w, const look *at, const double *theta) {
     return square_norm(&b, w->step);
 }
 
-/* The start of a bracket with the lowest sum of squares over its linear parameters, into w.solved;
-   0 if none is finite. */
+/* Write the start of a bracket with the lowest sum of squares over its linear parameters to
+   w.solved; 0 if none is finite. */
 static int best_start(fitter *w, int64_t bracket) {
     const many_data *data = w->data;
     const level *level = data->tape->level;
@@ -346,8 +347,8 @@ static int in_optimum(const fitter *w, double best, double end) {
     return end <= best + AGREEING * best + w->zero;
 }
 
-/* Whether the ends of descents are evidence that the best is the optimum: Boender and Rinnooy Kan's
-   (1987), as in miho/optim/evidence.py; or few, which all ended in one. */
+/* Whether the ends of descents are evidence for the best optimum (Boender and Rinnooy Kan, 1987, as
+   in miho/optim/evidence.py), or a few descents have all ended in it. */
 static int is_enough(const fitter *w) {
     int64_t n = w->descents, agreeing = 0, optima = 0;
     if (w->best.squares <= w->zero) return 1;
@@ -365,7 +366,7 @@ static int is_enough(const fitter *w) {
         (double)optima <= BETTER * (double)(n * (n - 1));
 }
 
-/* The covariance at the best: 0 where the derivatives are too close to being dependent. */
+/* Covariance at the best optimum; 0 if the derivatives are nearly dependent. */
 static int set_covariance(fitter *w, double *out) {
     const many_data *data = w->data;
     int64_t d = data->d, side = d + 1, n = 0;
@@ -390,7 +391,7 @@ static int set_covariance(fitter *w, double *out) {
     w->solver.level->fold(T, side, columns, 2 * d, d, n);
     for (int64_t j = 0; j < n; j++)
         if (fabs(T[j * side + j]) < DEPENDENT) return 0;
-    /* The inverse of the factor, column by column, in place of the columns. */
+    /* Inverse of the factor, column by column, in place of the columns. */
     for (int64_t j = 0; j < n; j++)
         for (int64_t i = j; i >= 0; i--) {
             double value = i == j ? 1.0 : 0.0;
@@ -410,7 +411,7 @@ static int set_covariance(fitter *w, double *out) {
     return 1;
 }
 
-/* Fit dataset k, the i-th that was asked for. */
+/* Fit dataset k, the i-th requested one. */
 static void fit_one(fitter *w, int64_t k, int64_t i, many_ends *out) {
     const many_data *data = w->data;
     const many_starts *starts = w->starts;
@@ -448,7 +449,7 @@ static void fit_one(fitter *w, int64_t k, int64_t i, many_ends *out) {
     flags[SINGULAR] = (uint8_t)!set_covariance(w, out->covariance + i * d * d);
 }
 
-/* Room for all of it; 0 without memory. */
+/* Allocate all work arrays; 0 without memory. */
 static int open_room(fitter *w) {
     const many_data *data = w->data;
     const many_starts *starts = w->starts;

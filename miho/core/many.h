@@ -1,12 +1,12 @@
-/* Thousands of small fits of one formula, each by descents of its own. */
+/* Thousands of small fits of one formula, each by separate descents. */
 #ifndef MIHO_MANY_H
 #define MIHO_MANY_H
 
 #include "search.h"
 
-/* Datasets of columns X (p, N) and y: the k-th has the rows from ends[k] to ends[k + 1] of both;
-   or, if X is `shared`, all N of X. The tape's results are d derivatives and the value, which is
-   linear in the `linear` parameters jointly. */
+/* Datasets of columns X (p, N) and y; dataset k has the rows from ends[k] to ends[k + 1] of both,
+   or all N rows of a `shared` X. The results of the tape are d derivatives and the value, which is
+   jointly linear in the `linear` parameters. */
 typedef struct {
     const tape *tape;
     const double *X, *y;
@@ -19,34 +19,34 @@ typedef struct {
     int64_t linears;
 } many_data;
 
-/* Starts (brackets, size, d) in units, for all datasets: a descent from the best of each bracket,
-   at its best values of the linear parameters, until `few` have all ended in one optimum, or the
-   evidence is enough, or no bracket is left. With `own`, starts (brackets, size, d) are for one
-   dataset each, or for all if brackets is 1, and each of them is descended from. */
+/* Starts (brackets, size, d) in units, for all datasets: one descent from the best of each bracket,
+   at its best linear parameters, until `few` have all ended in one optimum, the evidence is enough,
+   or no bracket is left. With `own` each start is descended from; brackets are then datasets, or 1
+   for all. */
 typedef struct {
     const double *starts;
     int64_t brackets, size, few;
     int own;
 } many_starts;
 
-/* Of a dataset: whether the descent converged; whether there is evidence of its minimum; whether
-   the derivatives are too close to being dependent for the covariance to be found here. */
+/* Whether the descent converged; whether there is evidence for its minimum; whether the derivatives
+   are too close to dependence for this covariance. */
 enum { CONVERGED, EVIDENT, SINGULAR, FLAGS };
-/* Of each dataset that was asked for: a configuration (d,), its sum of squares, the covariance
-   (d, d), NaN for what is at a bound, and flags (FLAGS,). */
+/* For each requested dataset: configuration (d,), sum of squares, covariance (d, d), NaN for
+   parameters at a bound, and flags (FLAGS,). */
 typedef struct {
     double *thetas, *squares, *covariance;
     uint8_t *flags;
 } many_ends;
 
-/* Whether to stop, asked every few milliseconds. */
+/* Called every few milliseconds: whether to stop. */
 typedef struct {
     int (*stops)(void *state);
     void *state;
 } watch;
 
-/* Fit the datasets `which` (n,); 0 without memory. A watch that stops leaves the others as they
-   were. */
+/* Fit the datasets `which` (n,); 0 without memory. After a stop the remaining results are
+   unchanged. */
 int fit_many(const many_data *data, const many_starts *starts, const int64_t *which, int64_t n,
              const watch *by, many_ends *out);
 #endif

@@ -1,16 +1,16 @@
-/* miho.core._machine: the door from Python. What a tape may do is checked here, once. */
+/* miho.core._machine: the interface to Python. Tapes are checked here, once. */
 #include "module.h"
 #include <string.h>
 
-#define LONG_CALL 2000 /* model values from which on other threads may run meanwhile */
+#define LONG_CALL 2000 /* model values from which other threads may run */
 
 static const level *const every_level[] = {&level_baseline, &level_avx2, &level_avx512};
 
-#if defined(__x86_64__) && defined(_WIN32) /* where the function below is in no library */
+#if defined(__x86_64__) && defined(_WIN32) /* no library has the function below */
 #include <cpuid.h>
 
 static int count_of_levels(void) {
-    unsigned a, b, c, d, saved, high; /* `saved`: the registers that the system keeps */
+    unsigned a, b, c, d, saved, high; /* `saved`: registers that the system saves */
     if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE)) return 1;
     __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
     if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || (saved & 0x6) != 0x6 || !(b & bit_AVX2))
@@ -38,7 +38,7 @@ static const struct { const char *name; int operands, results; } known[] = {
     OPERATIONS(AS_ROW)
 };
 
-/* Whether an instruction reads what is there and writes where it may. */
+/* Whether an instruction reads defined values and writes where it may. */
 static int fits(const instruction *q, int once, const tape *t) {
     int places = once ? t->scalars : t->registers;
     int first = once ? t->constants + t->parameters : t->inputs;
@@ -54,13 +54,13 @@ static int fits(const instruction *q, int once, const tape *t) {
         if (q->result[k] < (written ? first : 0) || q->result[k] >= places) return 0;
     }
     if (known[q->op].results < 2) return 1;
-    /* The first result of a row is written before all of it is read. */
+    /* The first result of a row is written before all operands are read. */
     for (int k = 0; k < known[q->op].operands; k++)
         if (q->operand[k] == q->result[0] || q->operand[k] == q->result[1]) return 0;
     return q->result[0] != q->result[1];
 }
 
-/* What is wrong with a tape, NULL if nothing. */
+/* First fault of a tape, NULL if there is none. */
 static const char *fault(const tape *t) {
     const int32_t *counts = &t->inputs;
     for (int k = 0; k < 9; k++)
@@ -82,8 +82,8 @@ static const char *fault(const tape *t) {
 
 static void drop(PyObject *capsule) { PyMem_Free(PyCapsule_GetPointer(capsule, "tape")); }
 
-PyDoc_STRVAR(tape_doc, "tape(counts, code, constants, fills, level=-1): a tape, of arrays of int32 "
-    "and doubles, for a level of instructions, the highest if -1. A bad one raises ValueError.");
+PyDoc_STRVAR(tape_doc, "tape(counts, code, constants, fills, level=-1): a tape, from arrays of "
+    "int32 and doubles, for a level of instructions (-1: the highest). ValueError if not valid.");
 static PyObject *py_tape(PyObject *module, PyObject *args) {
     Py_buffer counts = {0}, code = {0}, constants = {0}, fills = {0};
     int chosen = -1, levels = count_of_levels();
@@ -120,13 +120,13 @@ static PyObject *py_tape(PyObject *module, PyObject *args) {
     return PyCapsule_New(t, "tape", drop);
 }
 
-/* Doubles of an object in one piece, `least` of them or more; released by the caller. */
+/* Contiguous doubles of an object, at least `least`; the caller releases them. */
 static double *doubles(PyObject *o, Py_buffer *view, int writable, int64_t least) {
     int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
     if (PyObject_GetBuffer(o, view, flags)) { view->obj = NULL; return NULL; }
     if (view->itemsize == 8 && view->format && !strcmp(view->format, "d") &&
         view->len / 8 >= least) return view->buf;
-    PyErr_SetString(PyExc_ValueError, "expected an array of enough doubles");
+    PyErr_SetString(PyExc_ValueError, "expected a larger contiguous array of doubles");
     return NULL;
 }
 
@@ -134,7 +134,7 @@ static int64_t rows_in(const Py_buffer *X, const tape *t) {
     return t->inputs ? X->len / 8 / t->inputs : 0;
 }
 
-/* Parameter rows of a buffer. */
+/* Number of parameter rows in a buffer. */
 static int64_t configurations(const Py_buffer *thetas, const tape *t) {
     return t->parameters ? thetas->len / 8 / t->parameters : 1;
 }
@@ -152,7 +152,7 @@ static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t co
     int64_t n = configurations(&V[0], t), N = X ? rows_in(&V[1], t) : 0;
     double *out = X ? doubles(a[3], &V[2], 1, 0) : NULL;
     if (out && (double)(V[2].len / 8) != (double)n * (double)t->results * (double)N)
-        PyErr_SetString(PyExc_ValueError, "expected out (n, results, N), for all rows alike");
+        PyErr_SetString(PyExc_ValueError, "expected out of shape (n, results, N)");
     else if (out && n * N < LONG_CALL) done = tape_evaluate(t, thetas, n, X, N, out);
     else if (out) {
         Py_BEGIN_ALLOW_THREADS
@@ -165,8 +165,8 @@ static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t co
 }
 
 PyDoc_STRVAR(mean_squares_doc,
-    "mean_squares(tape, thetas (n, d), X (p, N), y (rows,), first, out (n,)): fill out with those "
-    "of the one result minus y, over the first rows of X, of which the first block has `first`.");
+    "mean_squares(tape, thetas (n, d), X (p, N), y (rows,), first, out (n,)): fill out with means "
+    "of (result - y)^2 over the first rows of X, in blocks; the first block has `first` rows.");
 static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     tape *t = count == 6 ? PyCapsule_GetPointer(a[0], "tape") : NULL;
     if (!t) return PyErr_Occurred() ? NULL
@@ -194,7 +194,7 @@ static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_
     return PyErr_Occurred() ? NULL : PyErr_NoMemory();
 }
 
-PyDoc_STRVAR(address_doc, "address(tape): where it is, for compiled code, as long as it lives.");
+PyDoc_STRVAR(address_doc, "address(tape): its address for compiled code, while the tape lives.");
 static PyObject *py_address(PyObject *module, PyObject *capsule) {
     void *t = PyCapsule_GetPointer(capsule, "tape");
     return t ? PyLong_FromVoidPtr(t) : NULL;

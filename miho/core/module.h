@@ -1,4 +1,4 @@
-/* What the door from Python is made of, beside module.c. */
+/* Parts of the interface to Python, besides module.c. */
 #ifndef MIHO_MODULE_H
 #define MIHO_MODULE_H
 

@@ -1,4 +1,4 @@
-/* Arrays and records that a call from Python gives. */
+/* Arrays and records from Python. */
 #include "module_arrays.h"
 
 int64_t product_of(int64_t a, int64_t b) {

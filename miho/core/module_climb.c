@@ -1,16 +1,16 @@
-/* The door to steps of mutation. All shapes are checked here. */
+/* Interface of mutation steps. All shapes are checked here. */
 #include <string.h>
 #include "climb.h"
 #include "module_arrays.h"
 
-/* Columns X (p, N), their data y (N,), and how many rows the first block has. */
+/* Columns X (p, N), data y (N,), and the rows of the first block. */
 static int take_data(arrays *all, PyObject *const *a, const tape *t, measurements *m) {
     int64_t X[] = {t->inputs, -1};
     if (!(m->X = array_of(all, a[0], "X", 'd', 2, X))) return 0;
     m->rows = m->N = X[1];
     m->first = PyLong_AsLongLong(a[2]);
     if (PyErr_Occurred() || !(m->y = vector_of(all, a[1], "y", 'd', m->N))) return 0;
-    if (m->first < 1 || m->rows < 1) return refuse(all, "there are no rows, or no first block");
+    if (m->first < 1 || m->rows < 1) return refuse(all, "expected rows, and a first block");
     return 1;
 }
 
@@ -37,17 +37,17 @@ static int take_steps(arrays *all, PyObject *record, climb *c) {
         (c->high = vector_of(all, high, "steps.bounds[1]", 'd', c->d));
 }
 
-/* Room for as many improvements as there are evaluations. */
+/* Room for an improvement at every evaluation. */
 static int take_report(arrays *all, PyObject *const *a, climb *c) {
     int64_t thetas[] = {product_of(c->more + 1, c->n), c->d};
-    if (thetas[0] < 0) return refuse(all, "there are too many steps");
+    if (thetas[0] < 0) return refuse(all, "too many steps");
     return (c->at = vector_of(all, a[0], "at", 'L', thetas[0])) &&
         (c->losses = vector_of(all, a[1], "losses", 'D', thetas[0])) &&
         (c->thetas = array_of(all, a[2], "thetas", 'D', 2, thetas));
 }
 
 static int take(arrays *all, PyObject *const *a, const tape *t, measurements *m, climb *c) {
-    if (t->results != 1) return refuse(all, "the tape has more than one result");
+    if (t->results != 1) return refuse(all, "expected a tape with one result");
     c->d = t->parameters;
     c->best = PyFloat_AsDouble(a[5]);
     c->target = PyFloat_AsDouble(a[6]);
@@ -57,8 +57,8 @@ static int take(arrays *all, PyObject *const *a, const tape *t, measurements *m,
 
 const char climb_doc[] =
     "climb(tape, X (p, N), y (N,), first, steps, best, target, at, losses, thetas): make steps of "
-    "mutation, list improvements, and give how many steps, improvements, and losses that are NaN "
-    "and infinite there were. See miho.compiled.climb.";
+    "mutation, list improvements; returns the numbers of steps, improvements, and losses that are "
+    "NaN and infinite. See miho.compiled.climb.";
 PyObject *py_climb(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 10) return PyErr_Format(PyExc_TypeError, "climb takes 10 arguments");
     const tape *t = PyCapsule_GetPointer(a[0], "tape");

@@ -1,16 +1,16 @@
-/* The door to many fits. All that is an index or a size in the arrays is checked here, once. */
+/* Interface of many fits. All indices and sizes in the arrays are checked here, once. */
 #include <string.h>
 #include "many.h"
 #include "module_arrays.h"
 
 static int take_tape(PyObject *capsule, arrays *all, many_data *to) {
-    if (!PyCapsule_IsValid(capsule, "tape")) return refuse(all, "the first argument is a tape");
+    if (!PyCapsule_IsValid(capsule, "tape")) return refuse(all, "the first argument is no tape");
     to->tape = PyCapsule_GetPointer(capsule, "tape");
     to->d = to->tape->parameters;
     if (to->d < 1 || to->d > MOST_PARAMETERS)
-        return refuse(all, "there are too few or many parameters");
+        return refuse(all, "too few or too many parameters");
     if (to->tape->results != to->d + 1)
-        return refuse(all, "the tape's results are not derivatives and value");
+        return refuse(all, "expected a tape of derivatives and value");
     return 1;
 }
 
@@ -23,7 +23,7 @@ static int take_data(PyObject *const *a, arrays *all, many_data *to) {
     to->datasets = ends - 1;
     to->shared = PyObject_IsTrue(a[4]);
     if (to->datasets < 1 || to->N < 1 || to->ends[0] || to->ends[ends - 1] != rows)
-        return refuse(all, "ends are not those of the rows of y");
+        return refuse(all, "ends do not match the rows of y");
     if (!to->shared && to->N != rows) return refuse(all, "X and y differ in length");
     for (int64_t k = 0; k < to->datasets; k++) {
         int64_t size = to->ends[k + 1] - to->ends[k];
@@ -44,7 +44,7 @@ static int take_box(PyObject *box, arrays *all, many_data *to) {
         !(to->linear = array_of(all, of[3], "box.linear", 'l', 1, &to->linears))) return 0;
     for (int64_t k = 0; k < to->linears; k++)
         if (to->linear[k] < (k ? to->linear[k - 1] + 1 : 0) || to->linear[k] >= to->d)
-            return refuse(all, "linear parameters are not in order, or none of the box");
+            return refuse(all, "expected ascending positions of linear parameters");
     return 1;
 }
 
@@ -59,7 +59,7 @@ static int take_starts(PyObject *record, arrays *all, int64_t d, int64_t n, many
     if (PyErr_Occurred()) return 0;
     if (to->brackets < 1 || to->size < 1) return refuse(all, "there are no starts");
     if (to->own && to->brackets != 1 && to->brackets != n)
-        return refuse(all, "starts are one for all, or one for each dataset");
+        return refuse(all, "expected starts for all, or for each dataset");
     return 1;
 }
 
@@ -69,7 +69,7 @@ static int take_which(PyObject *o, arrays *all, const many_data *data, const int
     if (!(*which = array_of(all, o, "which", 'l', 1, n))) return 0;
     for (int64_t k = 0; k < *n; k++)
         if ((*which)[k] < 0 || (*which)[k] >= data->datasets)
-            return refuse(all, "which names no dataset");
+            return refuse(all, "which has an index without a dataset");
     return 1;
 }
 
@@ -81,7 +81,7 @@ static int take_ends(PyObject *const *a, arrays *all, int64_t d, int64_t n, many
         (to->flags = array_of(all, a[11], "flags", 'B', 2, flags));
 }
 
-/* Whether a signal has come, such as that of Ctrl-C. */
+/* Whether a signal has arrived, for example Ctrl-C. */
 static int signalled(void *state) {
     PyThreadState **thread = state;
     PyEval_RestoreThread(*thread);

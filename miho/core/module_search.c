@@ -1,9 +1,9 @@
-/* The door to the search. All that is an index or a size in the arrays is checked here, once. */
+/* Interface of the search. All indices and sizes in the arrays are checked here, once. */
 #include <string.h>
 #include "module_arrays.h"
 #include "search.h"
 
-/* The tapes of `kept`, or the functions at the addresses `calls`, which nothing can check. */
+/* Tapes of `kept`, or functions at the addresses `calls`, which cannot be checked. */
 static int take_functions(PyObject *calls, PyObject *kept, arrays *all, int64_t inputs,
                           problem *p) {
     const int64_t *address = vector_of(all, calls, "calls", 'l', 4);
@@ -18,19 +18,19 @@ static int take_functions(PyObject *calls, PyObject *kept, arrays *all, int64_t 
         p->sums = v->level;
         if (v->results != 1 || g->results != p->d || v->parameters != p->d ||
             g->parameters != p->d || v->inputs != inputs || g->inputs != inputs)
-            done = refuse(all, "the tapes are of other parameters or inputs");
+            done = refuse(all, "the tapes have other parameters or inputs");
     } else if (done) {
         p->residuals = (residual_function)(uintptr_t)address[0];
         p->slopes = (column_function)(uintptr_t)address[1];
         p->value_tape = (const tape *)(uintptr_t)address[2];
         p->slope_tape = (const tape *)(uintptr_t)address[3];
         p->sums = highest_level();
-        if (!address[0] || !address[1]) done = refuse(all, "no functions are called");
+        if (!address[0] || !address[1]) done = refuse(all, "expected the addresses of functions");
     }
     return done;
 }
 
-/* Whether n positions are of d parameters, each of another one. */
+/* Whether n positions are different parameters out of d. */
 static int are_places(const int64_t *places, int64_t n, int64_t d) {
     for (int64_t k = 0; k < n; k++) {
         if (places[k] < 0 || places[k] >= d) return 0;
@@ -55,10 +55,10 @@ static int take_box(PyObject *box, arrays *all, problem *p) {
     if (!(p->linear = array_of(all, of[5], "box.linear", 'l', 1, &p->linears)) ||
         !(p->nonlinear = array_of(all, of[6], "box.nonlinear", 'l', 1, &p->nonlinears))) return 0;
     if (p->d < 1 || p->d > MOST_PARAMETERS)
-        return refuse(all, "there are too few or many parameters");
+        return refuse(all, "too few or too many parameters");
     if (p->linears + p->nonlinears != p->d || !are_places(p->linear, p->linears, p->d) ||
         !are_places(p->nonlinear, p->nonlinears, p->d))
-        return refuse(all, "linear and nonlinear parameters are not those of the box");
+        return refuse(all, "linear and nonlinear parameters do not match the box");
     return 1;
 }
 
@@ -68,7 +68,7 @@ static int take_levels(PyObject *rows, arrays *all, problem *p) {
     if (p->levels < 1) return refuse(all, "there is no level");
     for (int64_t k = 0, before = 0; k < p->levels; before = p->level_rows[k++])
         if (p->level_rows[k] <= before || p->level_rows[k] > p->N)
-            return refuse(all, "levels have ever more of the rows");
+            return refuse(all, "expected levels with increasing numbers of rows");
     return 1;
 }
 
@@ -100,7 +100,7 @@ static int take_settings(PyObject *settings, const arrays *all, search_settings 
         if (PyErr_Occurred()) return 0;
     }
     if (to->eta < 2 || to->slope_cost < 0 || to->slope_cost > INT32_MAX)
-        return refuse(all, "settings.eta is at least 2, and settings.slope_cost not negative");
+        return refuse(all, "expected settings.eta >= 2 and settings.slope_cost >= 0");
     return 1;
 }
 
@@ -117,14 +117,14 @@ static int take_candidates(PyObject *const *a, arrays *all, search *s) {
         !(s->order = vector_of(all, a[5], "order", 'L', n))) return 0;
     const int64_t *at = s->place;
     if (at[AT_LEVEL] < 0 || at[AT_LEVEL] >= s->p.levels)
-        return refuse(all, "place names no level");
+        return refuse(all, "place has an unknown level");
     int64_t m = at[STORED];
     if (at[SIZE] < 0 || at[SIZE] > n || at[ACTIVE] < 0 || at[ACTIVE] > at[SIZE] || m < 0)
-        return refuse(all, "place names more candidates than there are");
+        return refuse(all, "place has more candidates than the arrays");
     if (m && (m != s->p.level_rows[at[AT_LEVEL]] ||
               product_of(product_of(at[SIZE], d + 1), m) < 0 ||
               at[SIZE] * (d + 1) * m > s->stored_room))
-        return refuse(all, "there is no room for so many derivatives");
+        return refuse(all, "stored is too small for the derivatives");
     return 1;
 }
 
@@ -142,12 +142,12 @@ static int take_room(PyObject *room, arrays *all, search *s) {
     double *numbers = array_of(all, room, "room", 'D', 1, &size);
     if (!numbers) return 0;
     if (size < room_beside_residuals(s->p.d, s->p.levels) + rows)
-        return refuse(all, "there is too little room to work in");
+        return refuse(all, "room is too small");
     divide_room(s, numbers, size);
     return 1;
 }
 
-/* All arguments, in their order. */
+/* All arguments, in order. */
 static int take(PyObject *const *a, arrays *all, search *s) {
     problem *p = &s->p;
     int64_t X[] = {-1, -1};
@@ -169,8 +169,8 @@ static int take(PyObject *const *a, arrays *all, search *s) {
 
 const char run_bracket_doc[] =
     "run_bracket(calls, kept, X, y, numbers, counts, R, stored, place, order, box, level_rows, "
-    "minima, settings, most, best, target, at, losses, thetas, tally, room): take a bracket to its "
-    "end, or as far as it may go, and give how it ended. See "
+    "minima, settings, most, best, target, at, losses, thetas, tally, room): run a bracket to its "
+    "end, or as far as allowed; returns how it ended. See "
     "miho.compiled.gauss_newton_machine.bracket_of.";
 PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 22) return PyErr_Format(PyExc_TypeError, "run_bracket takes 22 arguments");

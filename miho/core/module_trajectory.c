@@ -1,18 +1,18 @@
-/* The door to trajectories. All that is an index or a size in the arrays is checked here, once. */
+/* Interface of trajectories. All indices and sizes in the arrays are checked here, once. */
 #include <string.h>
 #include "module_arrays.h"
 #include "trajectory.h"
 
 #define MOST_STEPS (1ll << 40)
 
-/* Whether n whole numbers are from `low` up to below `high`. */
+/* Whether n integers are at least `low` and below `high`. */
 static int within(const int64_t *numbers, int64_t n, int64_t low, int64_t high) {
     for (int64_t k = 0; k < n; k++)
         if (numbers[k] < low || numbers[k] >= high) return 0;
     return 1;
 }
 
-/* Field k of the course, an array of so many axes. */
+/* Field k of the course, an array with this number of axes. */
 static void *of_course(arrays *all, PyObject *record, int k, char kind, int axes, int64_t *shape) {
     static const char *const names[] = {
         "t", "u", "substeps", "held", "first", "rows", "output", "reset", "values", "parameters",
@@ -28,11 +28,11 @@ static int take_flags(arrays *all, PyObject *record, course *c) {
     c->held = PyObject_IsTrue(PyTuple_GetItem(record, 3));
     c->restart = PyObject_IsTrue(PyTuple_GetItem(record, 10));
     if (PyErr_Occurred()) return 0;
-    if (c->substeps < 1 || c->substeps > MOST_STEPS) return refuse(all, "there are no substeps");
+    if (c->substeps < 1 || c->substeps > MOST_STEPS) return refuse(all, "substeps is out of range");
     return 1;
 }
 
-/* The course of S states, K outputs and d parameters. */
+/* Course with S states, K outputs and d parameters. */
 static int take_course(arrays *all, PyObject *record, course *c) {
     c->N = c->R = -1;
     if (!take_flags(all, record, c) || !(c->t = of_course(all, record, 0, 'd', 1, &c->N))) return 0;
@@ -48,10 +48,10 @@ static int take_course(arrays *all, PyObject *record, course *c) {
     c->M = starts[0];
     if (c->N < 1 || c->reset[0] < 0) return refuse(all, "there is no start");
     if (!within(c->reset, c->N, -1, c->M) || !within(c->parameters, c->M * c->S, -1, c->d))
-        return refuse(all, "a start is none of those given");
+        return refuse(all, "reset has an index without a start");
     if (!within(c->rows, c->R, 0, c->R) || !within(c->output, c->R, 0, c->K) ||
         !within(c->first, c->N + 1, 0, c->R + 1))
-        return refuse(all, "a row or an output is none of those given");
+        return refuse(all, "an index of a row or an output is out of range");
     return 1;
 }
 
@@ -59,17 +59,17 @@ static const tape *tape_in(PyObject *o) {
     return PyCapsule_IsValid(o, "tape") ? PyCapsule_GetPointer(o, "tape") : NULL;
 }
 
-/* The tapes of rates and outputs, which say how many states, outputs and parameters there are. */
+/* Tapes of rates and outputs, which determine the numbers of states, outputs and parameters. */
 static int take_motion(arrays *all, PyObject *rates, PyObject *outputs, motion *m, course *c) {
     m->rates = tape_in(rates);
     m->outputs = tape_in(outputs);
-    if (!m->rates || !m->outputs) return refuse(all, "rates and outputs are tapes");
+    if (!m->rates || !m->outputs) return refuse(all, "expected tapes as rates and outputs");
     c->S = m->rates->results;
     c->K = m->outputs->results;
     c->d = (int64_t)m->rates->inputs - c->S;
     if (c->d < 0 || m->outputs->inputs != m->rates->inputs || m->rates->parameters < 1 ||
         m->outputs->parameters != m->rates->parameters)
-        return refuse(all, "rates and outputs are of other states, inputs or parameters");
+        return refuse(all, "rates and outputs differ in states, inputs or parameters");
     return 1;
 }
 
@@ -87,7 +87,7 @@ static int take_slopes(arrays *all, PyObject *record, int64_t rows, const course
     of->states = c->S;
     of->width = c->d < 8 ? 8 : (c->d + 7) / 8 * 8;
     if (of->tape->inputs != 1 + c->q + c->S || of->tape->parameters != c->d)
-        return refuse(all, "slopes are of other states, inputs or parameters");
+        return refuse(all, "slopes have other states, inputs or parameters");
     for (of->chained = 0; of->chained < of->count; of->chained++)
         if (of->at[2 * of->chained + 1] >= c->S) break;
     for (int64_t i = 0; i < of->count; i++) {
@@ -95,14 +95,14 @@ static int take_slopes(arrays *all, PyObject *record, int64_t rows, const course
         int by_state = i < of->chained, first = !i || i == of->chained;
         if (is[0] < (first ? 0 : is[-2]) || is[0] >= rows || is[1] < (by_state ? 0 : c->S) ||
             is[1] >= (by_state ? c->S : c->S + c->d))
-            return refuse(all, "slopes are by states and then by parameters, in order of rows");
+            return refuse(all, "expected slopes by states, then by parameters, in order of rows");
     }
     return 1;
 }
 
 static int take_both(arrays *all, PyObject *const *tapes, PyObject *record, motion *m, course *c) {
     if (!take_motion(all, tapes[0], tapes[1], m, c) || !take_course(all, record, c)) return 0;
-    if (c->q + 1 != m->rates->parameters) return refuse(all, "there are other inputs");
+    if (c->q + 1 != m->rates->parameters) return refuse(all, "the course has other inputs");
     return 1;
 }
 

@@ -1,11 +1,11 @@
-/* The operations of a tape on blocks of rows. Compiled once for each level, whose name is LEVEL. */
+/* Operations of a tape on blocks of rows. Compiled once for each level, with name LEVEL. */
 #include "large_angles.h"
 #include "tape.h"
 #include "columns.h"
 #include "variations.h"
 
-/* Operands and results of a block overlap nowhere or are the same rows, so that rows may be worked
-   on side by side. */
+/* Operands and results of a block do not overlap, or are the same rows, so that rows can be
+   computed side by side. */
 #define EACH(value) \
     _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) o[i] = (value); \
     break
@@ -18,7 +18,7 @@ static int any_large(const double *a, int rows) {
     return any;
 }
 
-/* The three operations of an angle, for blocks that hold a large one. */
+/* The three operations of an angle, for blocks with a large one. */
 static void large_angles(int op, const double *a, double *o, double *o2, int rows) {
     for (int i = 0; i < rows; i++) {
         double cosine, sine = any_sine_cosine(a[i], &cosine);
@@ -152,8 +152,8 @@ INLINE void operate(const instruction *q, double *const *r, const double *scalar
     }
 }
 
-/* Two instructions with scalars, the second of which takes the place of what the first one made:
-   one pass over the rows. Whether they are such. */
+/* Combine two instructions with scalars, the second of which overwrites the result of the first, in
+   one pass over the rows. Returns whether this was possible. */
 INLINE int operate_two(const instruction *q, double *const *r, const double *scalars, int rows) {
     if (q[1].op < OP_ADD_S || q[1].op > OP_S_DIV || q[1].operand[0] != q[0].result[0] ||
         q[1].result[0] != q[0].result[0]) return 0;
@@ -173,7 +173,7 @@ INLINE int operate_two(const instruction *q, double *const *r, const double *sca
 
 static void run(const instruction *from, const instruction *to, double *const *registers,
                 const double *scalars, int rows) {
-    if (rows == 1) /* which the compiler then knows: one row costs no loop */
+    if (rows == 1) /* a constant 1 removes the loop */
         for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, 1);
     else
         for (const instruction *q = from; q < to; q++) {
@@ -183,7 +183,7 @@ static void run(const instruction *from, const instruction *to, double *const *r
         }
 }
 
-/* The sum of (values - data)^2 in eight sums and then these in pairs, whatever the processor. */
+/* Sum of (values - data)^2 in eight lanes, then in pairs, the same on every processor. */
 static double square_sum(const double *values, const double *data, int rows) {
     double sums[8] = {0};
     int i = 0;

@@ -1,27 +1,26 @@
-/* Descents of Gauss and Newton, many candidates side by side: the records.
+/* Gauss-Newton descents of many candidates side by side: the records.
 
-   The arrays are those of miho/compiled/gauss_newton_candidates.py, which says what each means; the
-   names are the same. Sums over rows are those of columns.h, so that a search takes the same bits
-   on every processor. */
+   Names and arrays are the same as in miho/compiled/gauss_newton_candidates.py, which documents
+   them. Sums over rows use columns.h, so that a search has the same bits on every processor. */
 #ifndef MIHO_SEARCH_H
 #define MIHO_SEARCH_H
 
 #include <string.h>
 #include "tape.h"
 
-#define CHUNK 512           /* rows at a time: their derivatives stay in the first-level cache */
+#define CHUNK 512           /* rows per chunk; derivatives stay in the first-level cache */
 #define MOST_PARAMETERS 4096
 
 /* Stages of a candidate. */
 enum { ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE };
-/* Where a bracket stands, in `place`. */
+/* Position of a bracket, in `place`. */
 enum { PHASE, AT_LEVEL, SIZE, ACTIVE, STORED, PLACES };
-/* Its phases. */
+/* Phases of a bracket. */
 enum { SCREEN, RUNG, LEAD, FINISH, REVIVE, POLISH, CLOSED, EMPTY, RETURNED, SOLVED };
-/* How a block of steps ended: no candidate needs anything; the next evaluation would cost more rows
-   than were allowed; or the target is reached. */
+/* End of a block of steps: no candidate needs anything; the next evaluation would exceed the
+   allowed rows; or the target is reached. */
 enum { FINISHED, PAUSED, REACHED };
-/* What a block did, in `tally`. */
+/* Counts of a block, in `tally`. */
 enum { SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES, TALLIES };
 
 typedef void (*residual_function)(const tape *, const double *theta, const double *X, int64_t N,
@@ -30,11 +29,11 @@ typedef void (*column_function)(const tape *, const double *theta, const double 
                                 int64_t i, int64_t j, double *out, int64_t stride);
 
 /* Residuals and derivatives of d parameters at columns X (p, N), and y (N,), whose first rows are
-   those of each level; and the box. */
+   the rows of each level; and the box. */
 typedef struct {
     residual_function residuals;
     column_function slopes;
-    const tape *value_tape, *slope_tape; /* what they are given */
+    const tape *value_tape, *slope_tape; /* their argument */
     const struct level *sums;
     const double *X, *y;
     int64_t N, d;
@@ -63,7 +62,7 @@ typedef struct {
     int64_t allowance, room;
 } search_settings;
 
-/* What a block of steps may do. */
+/* Rules of a block of steps. */
 typedef struct {
     int64_t level, last, steps;
     double reach;
@@ -75,7 +74,7 @@ typedef struct {
     double rounding;
 } step_rules;
 
-/* A row of `counts`, and the middle of a row of `numbers`. */
+/* A row of `counts`, and the middle part of a row of `numbers`. */
 typedef struct {
     int64_t stage, stage_after_record, secants, trials, spent, spent_at_mark, projects;
 } candidate_counts;
@@ -85,7 +84,7 @@ typedef struct {
 #define COUNTS 7
 #define NUMBERS 6
 
-/* One candidate. `derivatives` (d + 1, m) is NULL where none are stored. */
+/* One candidate. `derivatives` (d + 1, m) is NULL if they are not stored. */
 typedef struct {
     double *x, *trial, *q, *D, *sums, *R, *derivatives;
     candidate_numbers *is;
@@ -93,30 +92,30 @@ typedef struct {
 } candidate;
 
 /* Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high. R is triangular in its first n rows
-   and columns, q has `step` numbers from one to the next. */
+   and columns; the elements of q are `step` numbers apart. */
 typedef struct {
     const double *R, *q, *scale, *low, *high;
     int64_t side, step, n;
 } box_problem;
 
-/* Where that is solved, for at most d parameters: free (d,), solution (d,), columns (d + 1, 2 d),
-   T (d + 1, d + 1). */
+/* Work arrays of the solver, for at most d parameters: free (d,), solution (d,), columns (d + 1, 2
+   d), T (d + 1, d + 1). */
 typedef struct {
     double *free, *solution, *columns, *T;
     int64_t d;
     const struct level *level;
 } solver_room;
 
-/* Where steps are worked out. theta, step, low, high, scale (d,): the configuration in units, a
-   step, its bounds and damping. sums (levels,). T (d + 1, d + 1): a triangular factor. chunk
-   (d + 1, CHUNK): columns to fold into it. slopes (d, CHUNK), residuals (residual_room,). */
+/* Work arrays of steps. theta, step, low, high, scale (d,): the configuration in units, a step, its
+   bounds and damping. sums (levels,). T (d + 1, d + 1): a triangular factor. chunk (d + 1, CHUNK):
+   columns to fold into T. slopes (d, CHUNK), residuals (residual_room,). */
 typedef struct {
     double *theta, *step, *low, *high, *scale, *sums, *T, *chunk, *slopes, *residuals;
     int64_t residual_room;
     solver_room solver;
 } work_room;
 
-/* A bracket of n candidates at most, and what the block under way may do and did. */
+/* A bracket of at most n candidates, and the rules and counts of the current block. */
 typedef struct {
     problem p;
     known_minima minima;
@@ -127,7 +126,7 @@ typedef struct {
     double *numbers, *R, *stored;
     int64_t *counts, *place, *order;
     int64_t stored_room;
-    int64_t most;           /* rows that may be spent */
+    int64_t most;           /* rows that may be used */
     double best, target;
     int64_t events;         /* improvements that may be listed */
     int64_t *at, *tally;
@@ -154,15 +153,14 @@ void take_factor(const search *s, candidate *c);
 int prepare(search *s, candidate *c);
 void after_evaluation(search *s, candidate *c, double loss);
 
-/* descent.c: give a candidate its steps until it needs none, or as far as it may go, and say how
-   that ended. */
+/* descent.c: give a candidate its steps, as far as allowed; returns how this ended. */
 int descend(search *s, int64_t i);
 
 /* bracket.c */
 candidate candidate_at(const search *s, int64_t i);
-/* Take a bracket to its end, or as far as it may go, and say how that ended. */
+/* Run a bracket to its end, or as far as allowed; returns how it ended. */
 int run_bracket(search *s);
-/* How many numbers of room there are for, beside residuals. */
+/* Numbers of work arrays, besides residuals. */
 int64_t room_beside_residuals(int64_t d, int64_t levels);
 void divide_room(search *s, double *room, int64_t size);
 #endif

@@ -1,36 +1,36 @@
-/* Levenberg-Marquardt steps of one candidate, between two evaluations.
-   miho/compiled/gauss_newton.py says the same in Python, for residuals that come from there. */
+/* Levenberg-Marquardt steps of one candidate, between two evaluations. Python form, for residuals
+   from Python: miho/compiled/gauss_newton.py. */
 #include <math.h>
 #include <string.h>
 #include "search.h"
 
-/* Gain over predicted gain: above the first a trial is taken; above the second the damping falls,
-   below the third it grows (Marquardt, 1963; More, 1978). */
+/* Ratios of gain to predicted gain: above the first a trial is accepted, above the second the
+   damping decreases, below the third it increases (Marquardt, 1963; More, 1978). */
 #define ACCEPTED 1e-4
 #define GOOD 0.75
 #define POOR 0.25
-/* Factors of the damping after a good and after a poor step; after failures Nielsen's (1999), which
-   double each time. */
+/* Factors of the damping after a good and a poor step; after failures Nielsen's (1999) factors,
+   which double each time. */
 #define LESS 0.1
 #define MORE 2.0
 #define SMALLEST_DAMPING 1e-12
 #define LARGEST_DAMPING 1e12
-/* Where the gain is more than this share of the predicted one the next derivatives are Broyden's, a
-   few times running: they cost nothing. */
+/* If the gain exceeds this share of the predicted one, the next derivatives are Broyden updates, a
+   few times in a row: they cost nothing. */
 #define SECANT 0.7
-/* A refused trial is corrected for curvature where this turns its step by no more than such a share
-   of it, in the metric of the scales (Transtrum and Sethna, 2012). */
+/* A rejected trial is corrected for curvature if this turns its step by at most this share, in the
+   metric of the scales (Transtrum and Sethna, 2012). */
 #define BEND 0.75
-#define CORRECTED (-1)  /* as the number of secants: the trial is a corrected one */
-/* Where the predicted gain is below the tolerance, a candidate is done if the damping is no more
-   than the first, or the gain no more than the second share of the tolerance; else the damping may
-   be the reason, and falls. */
+#define CORRECTED (-1)  /* value of `secants`: the trial is corrected */
+/* If the predicted gain is below the tolerance, a candidate is done if the damping is at most the
+   first value, or the gain at most the second share of the tolerance; otherwise the damping may be
+   the reason, and decreases. */
 #define DONE_DAMPING 1e-3
 #define DONE_LESS 1e-3
-#define TRIES 12                /* with less damping, before the last promises too little */
-#define RESTART_DAMPING 1e-6    /* the least damping after a step that failed */
-#define SMALLEST_SCALE 1e-10    /* as a share of the largest: of parameters without effect */
-#define INSIDE 1e-12            /* nearer to a bound, in widths, a parameter is at it */
+#define TRIES 12                /* decreases of the damping before a last trial */
+#define RESTART_DAMPING 1e-6    /* smallest damping after a failed step */
+#define SMALLEST_SCALE 1e-10    /* relative to the largest scale */
+#define INSIDE 1e-12            /* a parameter is at a closer bound, in widths */
 /* A candidate is a copy of a better one within this squared distance, in units of d / rows of the
    loss, if their losses differ by less than this share. */
 #define COPY 0.5
@@ -39,7 +39,7 @@
 /* Whether a coordinate is off the bounds. */
 int is_free(double x) { return INSIDE < x && x < 1 - INSIDE; }
 
-/* How many parameters steps of a candidate move, and which the k-th of them is. */
+/* Number of parameters that the steps of a candidate move, and the k-th of them. */
 static int64_t moved(const problem *p, const candidate *c) {
     return c->has->projects ? p->nonlinears : p->d;
 }
@@ -48,15 +48,15 @@ static int64_t moved_at(const problem *p, const candidate *c, int64_t k) {
 }
 
 /* Set R, q and D of a candidate from w.T, the triangular factor of derivatives and residuals. The
-   columns of w.T are the d parameters and the residuals; or, where the linear parameters are
-   projected out, first the free linear ones, then the nonlinear ones and the residuals. The rows
-   below the first are then Kaufman's (1975) Jacobian of the reduced problem. */
+   columns of w.T are the d parameters and the residuals; with projection, first the free linear
+   parameters, then the nonlinear ones and the residuals. The rows below the first ones are then
+   Kaufman's (1975) Jacobian of the reduced problem. */
 void take_factor(const search *s, candidate *c) {
     const problem *p = &s->p;
     int64_t d = p->d, side = d + 1, n = moved(p, c), first = 0;
     if (c->has->projects)
         for (int64_t k = 0; k < p->linears; k++) first += is_free(c->x[p->linear[k]]);
-    /* A scale is the norm of its column, and falls slowly. */
+    /* A scale is the norm of its column, and decreases slowly. */
     int finite = 1;
     double largest = 0.0;
     for (int64_t k = 0; k < n; k++) {
@@ -76,12 +76,12 @@ void take_factor(const search *s, candidate *c) {
     if (finite && n && largest == 0) c->has->stage = DONE;
 }
 
-/* Store the residuals of a candidate beside its derivatives, if there is room for them. */
+/* Store the residuals of a candidate with its derivatives, if there is room for them. */
 static void keep_residuals(const search *s, candidate *c) {
     if (c->derivatives) copy(s->w.residuals, c->derivatives + s->p.d * s->m, s->m);
 }
 
-/* The triangular factor of the stored derivatives and of the residuals `last`, into w.T. */
+/* Triangular factor of the stored derivatives and of the residuals `last`, into w.T. */
 static void refold(const search *s, const candidate *c, const double *last) {
     int64_t d = s->p.d, m = s->m;
     memset(s->w.T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
@@ -94,7 +94,7 @@ static void refold(const search *s, const candidate *c, const double *last) {
     }
 }
 
-/* Broyden's update of the derivatives after a trial, in the metric of the scales D, and their
+/* Broyden update of the derivatives after a trial, in the metric of the scales D, and their
    factor. */
 static void take_secant(search *s, candidate *c) {
     int64_t d = s->p.d, m = s->m;
@@ -115,7 +115,7 @@ static void accept(search *s, candidate *c, double loss, double rho) {
         !c->has->projects;
     if (secant) take_secant(s, c);
     else keep_residuals(s, c);
-    /* Trust the linear model more or less. */
+    /* Adapt the damping. */
     copy(c->trial, c->x, s->p.d);
     c->is->loss = loss;
     if (rho > GOOD) c->is->damping = larger(LESS * c->is->damping, SMALLEST_DAMPING);
@@ -133,7 +133,7 @@ static void accept(search *s, candidate *c, double loss, double rho) {
     if (loss <= s->rules.rounding) c->has->stage = DONE;
 }
 
-/* How far a step may go along each coordinate, within the box and within reach. */
+/* Limits of a step along each coordinate: the box, and `reach`. */
 static void set_limits(const search *s, const candidate *c, int64_t n) {
     for (int64_t k = 0; k < n; k++) {
         double at = c->x[moved_at(&s->p, c, k)];
@@ -142,10 +142,10 @@ static void set_limits(const search *s, const candidate *c, int64_t n) {
     }
 }
 
-/* The damping of n coordinates as square roots. The more damping, the more alike coordinates count.
-   A scale is what derivatives say of a parameter where the candidate is; long steps along those
-   without effect there would be refused. Without `alike` the scales alone count: on fewer
-   rows than all, where candidates are many and steps cheap, and where it is judged whether a
+/* Damping of n coordinates as square roots. The stronger the damping, the more equally coordinates
+   count. A scale is the size of a parameter's derivatives at the candidate; long steps along
+   parameters without effect there would be rejected. Without `alike` the scales alone count: on
+   fewer than all rows, where there are many candidates and steps are cheap, and to decide whether a
    descent is done. */
 static void set_damping(const search *s, const candidate *c, int64_t n, int alike) {
     double largest = 0.0, root = sqrt(c->is->damping);
@@ -154,11 +154,11 @@ static void set_damping(const search *s, const candidate *c, int64_t n, int alik
     for (int64_t k = 0; k < n; k++) s->w.scale[k] = root * sqrt(c->D[k] * c->D[k] + least);
 }
 
-/* Correct a refused trial for the curvature that its residuals, in w, show. Along the step v they
-   are r + J v + b, where b is the bend of the residuals. The corrected step minimises
-   |J s + r + b|^2 with the same damping: to second order it is v and half the geodesic acceleration
-   (Transtrum and Sethna, 2012), for no more derivatives. 0 where derivatives are not stored or
-   updated, where the trial was corrected already, and where it would turn too far. */
+/* Correct a rejected trial for the curvature that its residuals, in w, show. Along the step v the
+   residuals are r + J v + b, with bend b. The corrected step minimises |J s + r + b|^2 with the
+   same damping: to second order it is v plus half the geodesic acceleration (Transtrum and Sethna,
+   2012), without further derivatives. 0 if derivatives are not stored, or are updated ones, if the
+   trial was corrected already, or if it would turn too far. */
 static int correct_trial(search *s, candidate *c) {
     const work_room *w = &s->w;
     int64_t d = s->p.d, side = d + 1;
@@ -186,9 +186,9 @@ static int correct_trial(search *s, candidate *c) {
     return 1;
 }
 
-/* Accept or refuse the trial of a candidate by its loss; its residuals are in w. */
+/* Accept or reject the trial of a candidate by its loss; its residuals are in w. */
 static void judge_trial(search *s, candidate *c, double loss) {
-    /* A first look is no trial: it gives the loss that later ones are compared with. */
+    /* The first evaluation gives the loss with which trials are compared. */
     if (c->has->stage == ENTER) {
         copy(c->trial, c->x, s->p.d);
         c->is->loss = c->is->loss_at_mark = loss;
@@ -203,11 +203,11 @@ static void judge_trial(search *s, candidate *c, double loss) {
     if (rho > ACCEPTED) {
         accept(s, c, loss, rho);
     } else if (c->has->secants > 0) {
-        /* Updated derivatives may be the reason, so evaluate them. */
+        /* Evaluate the derivatives, in case the update was wrong. */
         c->has->stage = SLOPES;
         c->has->secants = 0;
     } else if (isfinite(loss) && correct_trial(s, c)) {
-        c->has->secants = CORRECTED; /* or curvature */
+        c->has->secants = CORRECTED;
     } else {
         c->has->secants = 0;
         c->is->damping = larger(c->is->damping * c->is->growth, RESTART_DAMPING);
@@ -216,7 +216,7 @@ static void judge_trial(search *s, candidate *c, double loss) {
     }
 }
 
-/* Set the trial to x + w.step in the box. A step that rounding makes none ends the descent. */
+/* Set the trial to x + w.step in the box. A step that rounding removes ends the descent. */
 static void set_trial(const search *s, candidate *c) {
     int differs = 0;
     copy(c->x, c->trial, s->p.d);
@@ -228,7 +228,7 @@ static void set_trial(const search *s, candidate *c) {
     c->has->stage = differs ? TRIED : DONE;
 }
 
-/* Set the next trial of a candidate whose derivatives are known; or it is done. */
+/* Set the next trial of a candidate with known derivatives, or mark it as done. */
 static void propose_trial(search *s, candidate *c) {
     const work_room *w = &s->w;
     int64_t n = moved(&s->p, c);
@@ -237,11 +237,10 @@ static void propose_trial(search *s, candidate *c) {
         c->is->predicted_gain = 0.0;
         return;
     }
-    /* The step stays in the box, and within reach. */
     double square = 0.0, total = c->is->loss * (double)s->m;
     for (int64_t k = 0; k < n; k++) square += c->q[k] * c->q[k];
     set_limits(s, c, n);
-    /* Solve with less and less damping until the linear model promises enough. */
+    /* Decrease the damping until the predicted gain is large enough. */
     box_problem b = {c->R, c->q, w->scale, w->low, w->high, s->p.d, 1, n};
     int on_all = s->rules.last != 0;
     for (int count = 0; count < TRIES; count++) {
@@ -255,7 +254,7 @@ static void propose_trial(search *s, candidate *c) {
         if (predicted > s->rules.tolerance) break;
         if (c->is->damping <= DONE_DAMPING || predicted <= DONE_LESS * s->rules.tolerance) {
             c->has->stage = DONE;
-            if (c->has->secants && s->rules.last) { /* by updated derivatives: evaluate them */
+            if (c->has->secants && s->rules.last) { /* updated derivatives: evaluate first */
                 c->has->stage = SLOPES;
                 c->has->secants = 0;
             }
@@ -266,7 +265,7 @@ static void propose_trial(search *s, candidate *c) {
     set_trial(s, c);
 }
 
-/* |R (x_c - x)|^2: by how much the linear model of a candidate changes on the way to x. */
+/* |R (x_c - x)|^2: the change of a candidate's linear model from x_c to x. */
 static double square_distance(const problem *p, const candidate *c, const double *x) {
     int64_t n = moved(p, c);
     double total = 0.0;
@@ -281,7 +280,7 @@ static double square_distance(const problem *p, const candidate *c, const double
     return total;
 }
 
-/* Whether a candidate is a copy of a better one as far as the rows can tell. */
+/* Whether a candidate is a copy of a better one as far as the rows show. */
 int is_copy(const search *s, const candidate *better, const candidate *c) {
     int modelled = better->has->stage == READY || better->has->stage == DONE;
     int close = c->is->loss - better->is->loss <= COPY_LOSS * better->is->loss;
@@ -289,7 +288,7 @@ int is_copy(const search *s, const candidate *better, const candidate *c) {
         square_distance(&s->p, better, c->x) <= COPY * (double)s->p.d * better->is->loss;
 }
 
-/* Whether a candidate is on its way to a minimum that is known, and no better. */
+/* Whether a candidate is on its way to a known minimum, and no better. */
 static int nears_known_minimum(const search *s, const candidate *c) {
     const known_minima *known = &s->minima;
     double near = s->rules.near * c->is->loss * (double)s->m;
@@ -302,7 +301,7 @@ static int nears_known_minimum(const search *s, const candidate *c) {
     return 0;
 }
 
-/* Whether a candidate gains too little for the rows it costs, and has spent its allowance. */
+/* Whether a candidate gains too little for its rows, and has used its allowance. */
 static int crawls(const search *s, candidate *c) {
     const step_rules *rules = &s->rules;
     if (!rules->patience || c->has->spent - c->has->spent_at_mark < rules->patience) return 0;
@@ -313,7 +312,7 @@ static int crawls(const search *s, candidate *c) {
     return 0;
 }
 
-/* Bring a candidate to its next evaluation; 0 where it needs none in this block. */
+/* Bring a candidate to its next evaluation; 0 if it needs none in this block. */
 int prepare(search *s, candidate *c) {
     while (c->has->stage == SLOPES || c->has->stage == READY) {
         if (c->has->stage == READY && nears_known_minimum(s, c)) c->has->stage = AT_KNOWN;
@@ -324,9 +323,9 @@ int prepare(search *s, candidate *c) {
     return c->has->stage < DONE;
 }
 
-/* Take a candidate on after an evaluation, with the loss that residuals or algebra gave. The loss
-   at solved linear parameters is known by algebra only: on all rows an improvement is evaluated
-   once more (RECORD), so that what the run records was evaluated. */
+/* Advance a candidate after an evaluation, with the loss from residuals or from algebra. The loss
+   at solved linear parameters is known by algebra only. On all rows an improvement is evaluated
+   once more (RECORD), so that every recorded loss was evaluated. */
 void after_evaluation(search *s, candidate *c, double loss) {
     if (c->has->stage == RECORD) {
         c->has->stage = c->has->stage_after_record;

@@ -1,16 +1,16 @@
-/* A formula as a tape: a list of operations on registers, each of which holds a block of rows. */
+/* A formula as a tape: a list of operations on registers; each register has a block of rows. */
 #ifndef MIHO_TAPE_H
 #define MIHO_TAPE_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-#define MOST_ROWS 256       /* of a block */
-#define MANY_REGISTERS 24   /* with more than these, half as many rows stay in the cache */
+#define MOST_ROWS 256       /* per block */
+#define MANY_REGISTERS 24   /* with more, only half as many rows stay in the cache */
 #define MOST_REGISTERS 8192
 #define MOST_LENGTH 65536
 
-/* Name, and how many operands and results it has. miho/core/tape.py says what each does. */
+/* Name, and numbers of operands and results; miho/core/tape.py defines each. */
 #define OPERATIONS(X) \
     X(ADD, 2, 1) X(SUB, 2, 1) X(MUL, 2, 1) X(DIV, 2, 1) \
     X(ADD_S, 2, 1) X(MUL_S, 2, 1) X(SUB_S, 2, 1) X(DIV_S, 2, 1) X(S_SUB, 2, 1) X(S_DIV, 2, 1) \
@@ -28,15 +28,15 @@
 enum { OPERATIONS(AS_NAME) COUNT_OF_OPERATIONS };
 #undef AS_NAME
 
-/* operand[1] of an operation between ADD_S and S_DIV is a scalar; all others are registers. */
+/* operand[1] of the operations from ADD_S to S_DIV is a scalar; all others are registers. */
 typedef struct { int32_t op, operand[4], result[2]; } instruction;
 
 struct level;
 struct slopes;
 
-/* Registers are the inputs, the results, then those of work. Scalars are constants, parameters,
-   then what the first instructions, as many as `once`, compute of these once a call. `fill` holds
-   pairs of a register of work, which holds a scalar throughout, and that scalar. */
+/* Registers are the inputs, the results, then work registers. Scalars are constants, parameters,
+   then the results of the first `once` instructions, computed once per call. `fill` has pairs of a
+   work register with the same scalar in all rows, and this scalar. */
 typedef struct {
     int32_t inputs, results, registers, constants, parameters, scalars, once, length, fills;
     const instruction *code; /* once + length */
@@ -61,34 +61,34 @@ typedef struct level {
                       double *work);
 } level;
 extern const level level_baseline, level_avx2, level_avx512;
-/* The highest one of this processor. */
+/* Highest level of this processor. */
 const level *highest_level(void);
 
 /* Results of parameter rows thetas (n, d) at X (p, N): out (n, results, N). */
 int tape_evaluate(const tape *t, const double *thetas, int64_t n, const double *X, int64_t N,
                   double *out);
-/* Columns X (p, N), and y (rows,) for the first of their rows. The first block has `first` rows. */
+/* Columns X (p, N), and y (rows,) for their first rows. The first block has `first` rows. */
 typedef struct { const double *X; int64_t N; const double *y; int64_t rows, first; } measurements;
 
-/* Mean squares (n,) of the one result minus y. */
+/* Mean squares (n,) of the single result minus y. */
 int tape_mean_squares(const tape *t, const double *thetas, int64_t n, const measurements *d,
                       double *out);
-/* The one result minus y at rows i to j of X (p, N), out (j - i,). */
+/* The single result minus y at rows i to j of X (p, N), out (j - i,). */
 void tape_residuals(const tape *t, const double *theta, const double *X, int64_t N,
                     const double *y, int64_t i, int64_t j, double *out);
-/* All results there, each `stride` numbers behind the last. */
+/* All results at these rows, at intervals of `stride` numbers. */
 void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
                   int64_t j, double *out, int64_t stride);
 
-/* Room for many calls, in blocks of no more than so many rows, NULL without memory. */
+/* Room for many calls, in blocks of at most this number of rows, NULL without memory. */
 typedef struct workspace workspace;
 workspace *tape_open(const tape *t, int64_t rows);
 void tape_close(workspace *w);
-/* After `tape_start` at a configuration, all results at the first rows of X. */
+/* All results at the first rows of X, after `tape_start` at a configuration. */
 void tape_start(const tape *t, const double *theta, workspace *w);
 void tape_continue(const tape *t, const double *X, int64_t N, int64_t rows, double *out,
                    int64_t stride, workspace *w);
-/* One of the mean squares, or any number from `limit` on as soon as it is known to be there. */
+/* One mean square, or any number from `limit` on as soon as it is known to reach it. */
 double tape_mean_square(const tape *t, const double *theta, const measurements *d, double limit,
                         workspace *w);
 #endif

@@ -1,8 +1,8 @@
 """Tapes of operations on blocks of rows, and the two machines that run them.
 
-The machine of `miho/core/*.c` works on 256 rows at a time, whose temporaries stay in the cache, and
-gives the same bits on every processor. NumPy's machine works on all rows at once; it is what tests
-compare the other one with, and what runs where the library was installed without a C compiler.
+The machine in C (`miho/core/*.c`) works on 256 rows at a time, whose temporaries stay in the cache,
+and gives the same bits on every processor. The NumPy machine works on all rows at once. It is the
+reference of the tests, and the fallback if the library was installed without a C compiler.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from miho.quantities import Array
 
 TINY, HUGE = 1e-100, 1e300
-"""The floor of a base whose logarithm is taken, and the bound of BOUND."""
+"""Smallest base of a logarithm, and limit of the operation BOUND."""
 
 
 class Instruction(NamedTuple):
-    """An operation, the registers that it reads, and those that it writes.
+    """An operation, the registers that it reads, and the registers that it writes.
 
-    The second operand of ADD_S to S_DIV is a scalar.
+    The second operand of the operations from ADD_S to S_DIV is a scalar.
     """
 
     operation: str
@@ -33,7 +33,7 @@ class Instruction(NamedTuple):
 
 
 class TapeError(ValueError):
-    """A tape that the machine refuses: it reads or writes where nothing is, or is too long."""
+    """Raised for an invalid tape: it reads or writes undefined places, or is too long."""
 
 
 def _where(condition: Any, x: Any, y: Any) -> Any:
@@ -41,7 +41,7 @@ def _where(condition: Any, x: Any, y: Any) -> Any:
 
 
 def _truth(comparison: Callable[..., Any]) -> Callable[..., Any]:
-    """A comparison that gives 1 and 0."""
+    """A comparison that returns 1 and 0."""
     return lambda x, y: comparison(x, y) * 1.0
 
 
@@ -67,14 +67,12 @@ OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "AND": np.multiply, "OR": lambda x, y: x + y - x * y, "NOT": lambda x: 1.0 - x,
     "WHERE": _where,
 }  # fmt: skip
-"""What each operation does, in the order of their numbers (`miho/core/tape.h`).
-
-Those from ADD_S to S_DIV take a scalar, truth is 1 and falsehood 0. LOG_PARTS gives the logarithm
-of |x| as a sum of two numbers, FLOOR_PARTS that of what is at least TINY, and POWER takes a power
-given the parts of its base: so a power and its derivatives need one logarithm.
-"""
+"""The operations in the order of their numbers (`miho/core/tape.h`).  The operations from ADD_S to
+S_DIV take a scalar; true is 1 and false 0. LOG_PARTS returns the logarithm of |x| as a sum of two
+numbers, FLOOR_PARTS the same for values of at least TINY, and POWER computes a power from the parts
+of its base, so that a power and its derivatives need one logarithm."""
 NOT_BUILT = (
-    "miho: formulas run in NumPy, which is slower: {}; install a C compiler, such as gcc, then "
+    "miho: formulas run in NumPy, which is slower: {}; install a C compiler, for example gcc, then "
     "miho again\n"
 )
 NUMBER = {name: k for k, name in enumerate(OPERATIONS)}
@@ -83,9 +81,9 @@ WITH_SCALAR = {"ADD_S", "MUL_S", "SUB_S", "DIV_S", "S_SUB", "S_DIV"}
 
 @cache
 def machine() -> Any:
-    """The machine in C, None where it was not built, or was built of other sources.
+    """The machine in C, None if it was not built, or was built from other sources.
 
-    Without it a line on stderr says so, once in a process.
+    Without it a line on stderr says so, once per process.
     """
     try:
         import miho.core._machine as built
@@ -95,17 +93,17 @@ def machine() -> Any:
     whole = {"run_bracket", "solve_trajectories", "climb", "fit_many"} <= vars(built).keys()
     if whole and built.operations() == tuple(OPERATIONS):
         return built
-    sys.stderr.write(NOT_BUILT.format("the machine of formulas was built of other sources"))
+    sys.stderr.write(NOT_BUILT.format("the machine of formulas was built from other sources"))
     return None
 
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """Operations that compute results of input columns and parameters.
+    """Operations that compute results from input columns and parameters.
 
-    Registers hold rows: the `inputs`, then the `results`, then what is worked with. Scalars are the
-    `constants`, the `parameters`, then what `once` computes of these, once for all rows. `fills`
-    are pairs of a register that holds a scalar at all rows, and that scalar.
+    Registers hold rows: the `inputs`, then the `results`, then work registers. Scalars are the
+    `constants`, the `parameters`, then the results of `once`, computed once for all rows. `fills`
+    are pairs of a register with the same scalar in all rows, and this scalar.
     """
 
     inputs: int
@@ -119,7 +117,7 @@ class Tape:
     fills: tuple[tuple[int, int], ...]
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields alone: what the machine made of them is made again."""
+        """The fields alone; the form in the machine is created again."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def evaluate(self, thetas: Array, X: Array) -> Array:
@@ -135,9 +133,9 @@ class Tape:
         return out
 
     def mean_squares(self, thetas: Array, X: Array, y: Array, first: int) -> Array:
-        """Mean squares (n,) of the one result minus y (m,), over the first m rows of X (p, N).
+        """Mean squares (n,) of the single result minus y (m,), over the first m rows of X (p, N).
 
-        The machine sums blocks of rows, of which the first one has `first` rows.
+        The machine sums blocks of rows; the first block has `first` rows.
         """
         out = np.empty(len(thetas))
         if self.in_machine is None:
@@ -150,7 +148,7 @@ class Tape:
         return out
 
     def by_numpy(self, theta: Array, X: Array) -> list[Any]:
-        """The results at all rows by NumPy's machine, numbers where they are the same at all."""
+        """Results at all rows by NumPy, scalars if they are the same in all rows."""
         registers: list[Any] = [*X, *[None] * (self.registers - len(X))]
         scalars: list[Any] = [*self.constants, *theta]
         scalars += [None] * (self.scalars - len(scalars))
@@ -163,11 +161,11 @@ class Tape:
 
     @cached_property
     def in_machine(self) -> Any:
-        """The machine's form, None without a machine; raises TapeError for a bad tape."""
+        """The tape in the machine, None without it; raises TapeError for an invalid tape."""
         return None if machine() is None else self.at_level(-1)
 
     def at_level(self, level: int) -> Any:
-        """The machine's form for a level of the processor's instructions, -1 for the highest."""
+        """The tape in the machine for a level of processor instructions, -1 for the highest."""
         counts = [
             self.inputs, self.results, self.registers, len(self.constants), self.parameters,
             self.scalars, len(self.once), len(self.code), len(self.fills),
@@ -191,7 +189,7 @@ def _run(code: Sequence[Instruction], registers: list[Any], scalars: list[Any]) 
 
 
 def _numbers(code: Sequence[Instruction]) -> np.ndarray[Any, np.dtype[np.int32]]:
-    """Instructions as the machine reads them: number, four operands, two results."""
+    """Instructions as numbers for the machine: operation, four operands, two results."""
     rows = np.zeros((len(code), 7), dtype=np.int32)
     for row, (name, operands, results) in zip(rows, code, strict=True):
         row[0] = NUMBER[name]

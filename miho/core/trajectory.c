@@ -1,9 +1,9 @@
 /* Trajectories and their sensitivities by the classical Runge-Kutta method, on tapes.
 
-   The values of several parameter rows go side by side. Sensitivities are asked for one row: its
-   states are computed first, some steps ahead; then the derivatives of the rates at all stages of
-   these steps side by side; then the sensitivities follow, by equations that are linear in them.
-   Each stage is differentiated, so these are the derivatives of what is computed, to rounding. */
+   Values are computed for several parameter rows side by side, sensitivities for one row: first its
+   states, some steps ahead; then the derivatives of the rates at all stages of these steps side by
+   side; then the sensitivities, by equations that are linear in them. Each stage is differentiated,
+   so that these are the derivatives of the computed values, up to rounding. */
 #include <stdlib.h>
 #include <string.h>
 #include "trajectory.h"
@@ -11,29 +11,29 @@
 #define LANES 64            /* parameter rows side by side */
 #define MOST_EVENTS MOST_POINTS
 
-/* A tape whose inputs and results stay where they are. */
+/* A tape with fixed addresses of inputs and results. */
 typedef struct {
     const tape *t;
     double **registers, **each_scalar, *scalars;
     int rows;
 } function;
 
-/* The motion of some rows: states x, those of a stage, after the step, and their rates (S, rows);
-   outputs (K, rows), parameters (d, rows), inputs (q,). */
+/* Motion of some rows: states x, states of a stage, states after the step, and their rates (S,
+   rows); outputs (K, rows), parameters (d, rows), inputs (q,). */
 typedef struct {
     function rates, outputs;
     double *x, *at, *after, *dx, *y, *p, *u;
     int rows;
 } values;
 
-/* What happens along a course, in its order. */
+/* Events along a course, in order. */
 typedef struct visitor {
     void (*begin)(struct visitor *, int64_t m);
     void (*step)(struct visitor *, int64_t j, int64_t substep);
     void (*observe)(struct visitor *, int64_t j);
 } visitor;
 
-/* Doubles and then pointers, in one piece; 0 without memory. */
+/* Allocate doubles, then pointers, in one piece; 0 without memory. */
 static int take_function(const tape *t, int rows, function *f) {
     size_t of_work = (size_t)(t->registers - t->inputs - t->results) * rows;
     size_t numbers = of_work + t->scalars, pointers = (size_t)t->registers + t->scalars;
@@ -104,7 +104,7 @@ static void begin_values(values *v, const course *c, int64_t m) {
     }
 }
 
-/* The inputs at a share of the way from row j to row j + 1. */
+/* Inputs at a share of the way from row j to row j + 1. */
 static void inputs_at(const course *c, int64_t j, double share, double *u) {
     const double *row = c->u + j * c->q;
     for (int64_t k = 0; k < c->q; k++)
@@ -122,7 +122,7 @@ static double step_of(const course *c, int64_t j) {
     return (c->t[j + 1] - c->t[j]) / (double)c->substeps;
 }
 
-/* A step of x. The four stages are noted from `points` on unless it is NULL. */
+/* A step of x. Its four stages are written to `points`, unless it is NULL. */
 static void advance(values *v, const course *c, int64_t j, int64_t substep, double *points) {
     int64_t size = c->S * v->rows;
     double h = step_of(c, j), now = 0.0;
@@ -143,7 +143,7 @@ static void advance(values *v, const course *c, int64_t j, int64_t substep, doub
     memcpy(v->x, v->after, size * sizeof(double));
 }
 
-/* Segments begin before their first row is observed; a restart follows the row, which is still
+/* Segments begin before their first row is observed. A restart follows the row, which is still
    predicted. */
 static void follow(const course *c, visitor *v) {
     for (int64_t j = 0; j < c->N; j++) {
@@ -156,7 +156,7 @@ static void follow(const course *c, visitor *v) {
     }
 }
 
-/* Values of some parameter rows, written to out (rows, R). */
+/* Values of some parameter rows, into out (rows, R). */
 typedef struct {
     visitor is;
     const course *c;
@@ -200,7 +200,7 @@ int trajectory_solve(const motion *m, const course *c, const double *thetas, int
     return 1;
 }
 
-/* Sensitivities. Events wait until there are many: the points of their derivatives are noted. */
+/* Sensitivities. Events are collected, and the points of their derivatives are stored. */
 enum { BEGIN, STEP, OBSERVE };
 typedef struct { int kind; int64_t at; } event;
 typedef struct {
@@ -209,9 +209,9 @@ typedef struct {
     const slopes *of;           /* of the rates and of the outputs */
     const double *theta;
     values now;
-    double *points[2];          /* (1 + q + S, APART): stages, and rows to be observed */
+    double *points[2];          /* (1 + q + S, APART): stages, and observed rows */
     double *derivatives[2];     /* (count, APART) */
-    double *x, *work;           /* (S, width), and room for a step */
+    double *x, *work;           /* (S, width), and work for a step */
     double *direct, *y;         /* (K, width) */
     int used[2];
     event events[MOST_EVENTS];
@@ -235,7 +235,7 @@ static void observe_variation(const variation *v, int64_t j, const double *deriv
     }
 }
 
-/* Take the sensitivities as far as the states are. Without memory for the tapes they are NaN. */
+/* Advance the sensitivities as far as the states. Without memory for the tapes they are NaN. */
 static void catch_up(variation *v) {
     int done[2] = {0};
     for (int k = 0; k < 2; k++)
@@ -277,7 +277,7 @@ static void note_row(visitor *is, int64_t j) {
     schedule(v, OBSERVE, j);
 }
 
-/* 0 without memory; `points[0]` is all there is to free beside the values. */
+/* 0 without memory; besides the values, only `points[0]` has to be freed. */
 static int take_variation(const motion *m, variation *v) {
     const course *c = v->c;
     int64_t width = v->of->width, inputs = 1 + c->q + c->S;

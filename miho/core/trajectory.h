@@ -4,11 +4,10 @@
 
 #include "tape.h"
 
-#define MOST_POINTS MOST_ROWS /* where derivatives are evaluated side by side */
-#define APART (MOST_POINTS + 8) /* numbers from one derivative to the next: no power of two, which
-                                   would put them all in one place of the cache */
+#define MOST_POINTS MOST_ROWS /* points of derivatives side by side */
+#define APART (MOST_POINTS + 8) /* from one derivative to the next; no power of two (cache) */
 
-/* What miho.compiled.course.Course holds: N times, q inputs, S states, d parameters, K outputs, R
+/* Fields of miho.compiled.course.Course: N times, q inputs, S states, d parameters, K outputs, R
    rows of data, M starts. */
 typedef struct {
     const double *t, *u, *values;
@@ -21,11 +20,10 @@ typedef struct {
    and u (q,). */
 typedef struct { const tape *rates, *outputs; } motion;
 
-/* Derivatives of `rows` rates or outputs, those that are not zero throughout: the tape's inputs are
-   t, u (q,) and x (S,), its parameters p (d,), and its result i is the derivative of at[i, 0] with
-   respect to the state at[i, 1], or the parameter at[i, 1] - S. In at (count, 2) those by states,
-   `chained` of them, are first; and both are in the order of rows. `width` numbers stand for the d
-   parameters. */
+/* Nonzero derivatives of `rows` rates or outputs. The inputs of the tape are t, u (q,) and x (S,),
+   its parameters p (d,); result i is the derivative of at[i, 0] with respect to state at[i, 1], or
+   parameter at[i, 1] - S. In at (count, 2) the `chained` derivatives by states come first; both
+   parts are in the order of rows. `width` numbers stand for the d parameters. */
 typedef struct slopes {
     const tape *tape;
     const int64_t *at;

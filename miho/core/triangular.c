@@ -2,13 +2,13 @@
 #include <math.h>
 #include "search.h"
 
-/* A pivot below this share of the largest one, or of its column, is taken for 0: its parameter
-   depends on those before it, and stays where it is as long as the same others are free. */
+/* A pivot below this share of the largest pivot, or of its column, counts as 0: its parameter
+   depends on the previous ones, and stays unchanged while the same others are free. */
 #define SINGULAR 1e-14
-/* Marks such a parameter, beside those that are free (1) and those at a bound (0). */
+/* Marks such a parameter; free parameters have 1, parameters at a bound 0. */
 #define DEPENDENT 0.5
 
-/* A row of R s + q. */
+/* One row of R s + q. */
 static double row_of(const box_problem *b, const double *s, int64_t row) {
     double value = 0.0;
     for (int64_t k = row; k < b->n; k++) value += b->R[row * b->side + k] * s[k];
@@ -25,7 +25,7 @@ double square_norm(const box_problem *b, const double *s) {
     return total;
 }
 
-/* The factor of the free parameters, the others fixed, into room->T; how many are free. */
+/* Factor of the free parameters, the others fixed, into room->T; returns their number. */
 static int64_t factor_of_free(const box_problem *b, const double *s, const solver_room *room) {
     int64_t n = b->n, stride = 2 * room->d, side = room->d + 1, count = 0;
     for (int64_t k = 0; k < n; k++) {
@@ -51,8 +51,8 @@ static int64_t factor_of_free(const box_problem *b, const double *s, const solve
     return count;
 }
 
-/* Whether no free parameter depends on those before it; the first that does is marked. The factor
-   has to be made anew without it: what remains of its column is rounding, but takes up a row of the
+/* Whether no free parameter depends on previous ones; marks the first that does. The factor must
+   then be computed again without it: its column has only rounding left, but uses a row of the
    factor. */
 static int independent(int64_t n, int64_t count, const solver_room *room) {
     int64_t side = room->d + 1, j = 0;
@@ -71,7 +71,7 @@ static int independent(int64_t n, int64_t count, const solver_room *room) {
     return 1;
 }
 
-/* The minimum of the free parameters into room->solution, without those that depend on others. */
+/* Minimum of the free parameters into room->solution, without dependent ones. */
 static void solve_free(const box_problem *b, const double *s, const solver_room *room) {
     int64_t n = b->n, side = room->d + 1;
     double *solution = room->solution;
@@ -87,20 +87,20 @@ static void solve_free(const box_problem *b, const double *s, const solver_room 
     }
 }
 
-/* Move the free parameters to their minimum, those that leave the box to its bounds. With `stop`
-   they move on the straight way to it as far as the first bound. Gives whether any came to a bound;
-   those are fixed there. */
+/* Move the free parameters to their minimum, and parameters that leave the box to its bounds. With
+   `stop` they move on the straight line to the minimum up to the first bound. Parameters that reach
+   a bound are fixed there; returns whether any did. */
 static int minimise_free(const box_problem *b, double *s, int stop, const solver_room *room) {
     const double *low = b->low, *high = b->high, *solution = room->solution;
     solve_free(b, s, room);
-    /* The share of the way to it that ends at the first bound. */
+    /* Share of the step up to the first bound. */
     double share = 1.0;
     for (int64_t k = 0, j = 0; k < b->n; k++) {
         if (room->free[k] != 1.0) continue;
         double to = solution[j++], bound = between(low[k], to, high[k]);
         if (stop && bound != to) share = smaller(share, (bound - s[k]) / (to - s[k]));
     }
-    /* Go there; what comes to a bound is fixed. */
+    /* Make the step, and fix parameters that reach a bound. */
     int fixed = 0;
     for (int64_t k = 0, j = 0; k < b->n; k++) {
         if (room->free[k] != 1.0) continue;
@@ -118,7 +118,7 @@ static int minimise_free(const box_problem *b, double *s, int stop, const solver
     return fixed;
 }
 
-/* The parameter at a bound with the steepest gradient inwards, -1 if none. */
+/* Fixed parameter with the steepest inward gradient, -1 if none. */
 static int64_t steepest_inwards(const box_problem *b, const double *s, const solver_room *room) {
     double steepest = 0.0;
     int64_t found = -1;
@@ -136,11 +136,11 @@ static int64_t steepest_inwards(const box_problem *b, const double *s, const sol
     return found;
 }
 
-/* By an active set. First, all parameters that a solution would take out of the box are fixed at
-   its bounds at once, and the others solved for again. Then the fixed one with the steepest
-   gradient inwards is freed, and the way to the new solution ends at the first bound, so that each
-   step lowers the sum of squares, until the Karush-Kuhn-Tucker conditions hold (Stark and Parker,
-   Computational Statistics 10, 1995), or 3 n have been freed. */
+/* Active-set method. First, all parameters that the solution would take out of the box are fixed at
+   its bounds at once, and the others are solved again. Then the fixed parameter with the steepest
+   inward gradient is freed, and the step to the new solution ends at the first bound, so that each
+   step decreases the sum of squares, until the Karush-Kuhn-Tucker conditions hold (Stark and
+   Parker, Computational Statistics 10, 1995), or 3 n parameters were freed. */
 void solve_in_box(const box_problem *b, double *s, const solver_room *room) {
     for (int64_t k = 0; k < b->n; k++) {
         s[k] = 0.0;

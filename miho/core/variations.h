@@ -1,11 +1,11 @@
-/* How derivatives with respect to parameters follow the states. Compiled once for each level. */
+/* Derivatives with respect to parameters, along the states. Compiled once for each level. */
 #include "trajectory.h"
 
 #define DERIVATIVE(i) values[(i) * APART] /* at one point */
-/* In one register, or as few as there are: number by number they would be written more slowly. */
+/* In one register, or few: writing number by number is slower. */
 typedef double eight __attribute__((vector_size(64), aligned(8), may_alias));
 
-/* direct (rows, width): the derivatives with respect to parameters themselves. Zeros stay. */
+/* direct (rows, width): direct derivatives with respect to parameters. Zeros stay. */
 static void set_direct(const slopes *of, const double *values, double *direct) {
     for (int64_t i = of->chained; i < of->count; i++) {
         int64_t row = of->at[2 * i], column = of->at[2 * i + 1] - of->states;
@@ -13,7 +13,7 @@ static void set_direct(const slopes *of, const double *values, double *direct) {
     }
 }
 
-/* out (rows, width): derivatives by the chain rule, of those of the states x (S, width). */
+/* out (rows, width): derivatives by the chain rule, from derivatives of the states x (S, width). */
 static void chain(const slopes *of, const double *values, const double *x, const double *direct,
                   double *out) {
     int64_t width = of->width, from = 0, to = 0;
@@ -34,12 +34,12 @@ static void vary(const slopes *of, const double *values, const double *x, double
     chain(of, values, x, direct, out);
 }
 
-/* A step of length h of x (S, width), given derivatives at its four stages. work (7 S, width):
-   zeros at first, then what the step before left. */
+/* A step of length h of x (S, width), from derivatives at its four stages. work (7 S, width): zeros
+   at first, then as the previous step left it. */
 static void vary_step(const slopes *of, const double *values, double h, double *x, double *work) {
     int64_t size = of->rows * of->width;
     double *at = work, *after = at + size, *dx = after + size, *direct = dx + size;
-    /* All of them before any is read: what was just written number by number reads slowly. */
+    /* Write all before any is read: reading back numbers just written is slow. */
     for (int stage = 0; stage < 4; stage++) set_direct(of, values + stage, direct + stage * size);
     for (int64_t k = 0; k < size; k++) at[k] = after[k] = x[k];
     for (int stage = 0; stage < 4; stage++) {

@@ -250,5 +250,5 @@ def test_what_is_no_number_no_record_or_no_tape_is_refused() -> None:
     with pytest.raises(TypeError, match="10 arguments"):
         machine().climb(*arguments()[:9])
     two = Tape(1, 2, 3, 5, 5, (), (), (Instruction("COPY", (0,), (1,)),) * 2, ())
-    with pytest.raises(ValueError, match="more than one result"):
+    with pytest.raises(ValueError, match="a tape with one result"):
         machine().climb(two.in_machine, *arguments()[1:])

@@ -381,7 +381,7 @@ def test_arguments_that_would_lead_out_of_an_array_are_refused(name: str) -> Non
             run(good | {written: frozen})
     rows = good["level_rows"][0]
     for stored in (good["stored"][:10].copy(), np.empty(0)):
-        with pytest.raises(ValueError, match="no room"):
+        with pytest.raises(ValueError, match="stored is too small"):
             run(good | {"stored": stored, "place": with_item(good["place"], 4, rows)})
     with pytest.raises(TypeError):
         machine().run_bracket(*list(good.values())[:-1])
