@@ -57,9 +57,9 @@ def fit_many(
 
     Formulas and other models are treated differently. Each dataset of a formula descends from the
     best of common starting points, bracket after bracket, until the descents agree. For other
-    models a few datasets are searched, and the others descend from the optima of these searches and
-    from the optima of datasets with larger errors. Some datasets are then searched longer, to check
-    the others. With a `start`, each dataset descends from it and there is no check.
+    models a few datasets are searched, and the others descend from the best of the optima found
+    there, then again from the best of other datasets' optima. Some datasets are then searched
+    longer, to check the others. With a `start`, each dataset descends from it, without a check.
 
     Parameters
     ----------

@@ -110,8 +110,8 @@ def fit(
         Linear constraints, for example "a < b < c", "a + b = 1" or "b - a < 5".
     loss : Loss or str, optional
         Loss of a residual: its square by default, or a robust loss, for example
-        ``miho.identification.Huber(scale)``. With a known `sigma`, "huber" and "cauchy" choose the
-        scale.
+        ``miho.identification.Huber(scale)``. "huber" and "cauchy" need a known `sigma`, which
+        determines their scale.
     method : Optimizer or str, optional
         The search method, `MIHOGN()` by default: a method of `miho.methods`, or its name on the
         command line, for example "least_squares".
@@ -146,6 +146,8 @@ def fit(
     ------
     ValueError
         If model, data, bounds and settings do not fit together, or if no finite value was found.
+    JournalError
+        If the journal belongs to another model or other data.
 
     See Also
     --------
