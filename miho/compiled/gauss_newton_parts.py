@@ -33,7 +33,7 @@ from miho.compiled.workspace import Work, copy
 from miho.quantities import Array, Integers
 
 
-@np.errstate(all="ignore")  # as the machine has it
+@np.errstate(all="ignore")  # like the machine
 def next_to_evaluate(
     c: GNCandidates, i: int, active: int, box: GNBox,
     m: int, minima: Minima, rules: GNRules, w: Work,

@@ -47,7 +47,7 @@ class Resumable(Optimizer, Generic[State]):
     """Abstract base class of a method with a state object; a stopped run resumes bit-exactly.
 
     The state can be pickled and contains the random generator. If the oracle raises in the middle
-    of a step, the state that is left must be one that can be resumed.
+    of a step, it must still be possible to resume the state that is left.
     """
 
     @abstractmethod

@@ -495,9 +495,8 @@ class Oracle:
         Parameters
         ----------
         start, end : float
-            Losses over all rows; `start` is math.inf if the start was not evaluated on all rows.
-            For a descent that came back to a known optimum, `end` and `theta` are those of the
-            optimum.
+            Losses over all rows; `start` is math.inf if the start was not evaluated on all rows. A
+            return to a known optimum has the `end` and `theta` of this optimum.
         converged, finished : bool, optional
             Whether the solver converged, and whether the descent came to its end.
         theta : ndarray of shape (d,), optional

@@ -272,7 +272,7 @@ def _trial(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, loss: Ar
     c.g[i] += np.einsum("nij,nj->ni", c.B[i], step[guess])
     c.guesses[i] += 1
 
-    # The next stage; those whose slopes are known propose their next step at once.
+    # The next stage; candidates with known slopes propose their next step at once.
     measured = c.guesses[index] == 0
     little = rules.last & accepted & (fall <= rules.tolerance * np.abs(loss)) & measured
     d = step.shape[1]

@@ -50,7 +50,7 @@ class Recorder:
 
     @property
     def seconds(self) -> float:
-        """Seconds of the method's clock: the run without set-up and recording."""
+        """Seconds on the clock of the method, without set-up and recording."""
         return self._clock.wall() - self._wall
 
     def stop(self) -> None:
@@ -62,10 +62,11 @@ class Recorder:
     def record(
         self, at: Array, losses: Array, thetas: Array, evaluations: float, started: float
     ) -> None:
-        """Count evaluations, record the improvements among them and hold the clock meanwhile.
+        """Count evaluations and record their improvements, with the clock stopped meanwhile.
 
-        `at` (k,) counts the evaluations up to each improvement, `started` is the clock before the
-        first. The clock is taken to run evenly, so each improvement has its own time.
+        `at` (k,) is the evaluation of each improvement within the block, and `started` the clock
+        before the block. The time of an improvement assumes that all evaluations of the block take
+        equally long.
         """
         meter = self.meter
         meter.seconds = now = self._clock.wall() - self._wall

@@ -43,7 +43,7 @@ CHANCE = 6.0
 """By chance the ratio of the largest and the smallest median of blocks reaches exp(CHANCE /
 sqrt(rows))."""
 FARTHEST = 300.0
-"""Largest logarithm of a spread, beyond those of real data."""
+"""Largest logarithm of a spread; real data do not reach it."""
 CELLS = 64
 """Cells of the grid along each of two inputs: a window of one cell is 1/64 of a range."""
 SIDES = [2**k for k in range(6)]

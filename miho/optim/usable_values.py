@@ -56,7 +56,7 @@ class UsableValues:
             raise UnusableValueError(str(error)) from error
 
     def residual_rows(self, rows: Array, *part: float) -> tuple[Array, Array]:
-        """Residuals (n, m) of rows (n, d), NaN where the problem raises, and losses (n,)."""
+        """Residuals (n, m) of rows (n, d), NaN if the problem raises, and losses (n,)."""
         problem = self.least_squares
         try:
             residuals = _real(problem.residual_rows(read_only(rows), *part))
@@ -91,7 +91,7 @@ class UsableValues:
         return self._problem
 
     def _one_by_one(self, rows: Array, *part: float) -> tuple[Array, Array]:
-        """The same as `residual_rows`, with separate calls, each of which may raise."""
+        """The same as `residual_rows`, by a separate call for each row."""
         computed: dict[int, Array] = {}
         losses = np.full(len(rows), math.inf)
         for k, theta in enumerate(rows):
