@@ -99,9 +99,9 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         A descent is set aside if its loss decreases by less than the share `progress` in
         `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
     doubtful : int, optional
-        Number of agreeing brackets, and three quarters of the brackets with a known loss, that a
-        doubtful optimum needs; half of it if only the residuals have structure, twice if the
-        optimum may be a plateau.
+        Agreeing brackets that a doubtful optimum needs, which must be three quarters of the
+        brackets with a known loss. Half as many are enough if only the residuals have structure;
+        twice as many are needed if the optimum may be a plateau.
     longer : float, optional
         The search for a doubtful optimum takes at least this multiple of the evaluations that
         found it.
