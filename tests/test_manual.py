@@ -15,7 +15,7 @@ from miho.data import embedded_tire
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-LONG = {"method.md"}
+LONG = {"evidence.md"}
 """Pages whose Python takes minutes."""
 SECONDS = {
     "add-a-method.md", "compare-models.md", "fit.md", "next-measurement.md", "trajectories.md",
