@@ -1,1 +1,1 @@
-"""Commands, run from the checkout: Hydra composes, the library runs."""
+"""Commands, run from the checkout: Hydra composes the configuration, the library does the work."""

@@ -1,4 +1,4 @@
-"""Put the curves of all finished runs of a root into one file, which makes reading them faster.
+"""Collect the curves of all finished runs of a root in one file, so that they are read faster.
 
 python -m experiments.compact runs/arena
 """
@@ -13,12 +13,12 @@ from miho.study.compaction import compact
 
 
 def main() -> None:
-    """Read the command line."""
+    """Parse the arguments and compact the root."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.compact",
-        description="Put the curves of all finished runs into one file, which makes reading them "
-        "faster. It is a cache: the runs stay as they are, runs that come later are read from "
-        "their own files, and it can be removed or written again at any time.",
+        description="Collect the curves of all finished runs in one file, so that they are read "
+        "faster. The file is a cache: it changes no run, later runs are read from their folders, "
+        "and it can be deleted or rewritten at any time.",
     )
     parser.add_argument("root", type=root_folder, help="folder of runs")
     arguments = parser.parse_args()

@@ -1,16 +1,16 @@
-"""Compare methods: on one problem on the clock, or on many problems at once; then draw and judge.
+"""Compare methods on one problem by seconds, or on many problems by evaluations.
 
-On one problem a comparison is a multirun, as by experiments.identify -m: runs come one at a time,
-on one thread, one repetition after the other. On many problems several run at a time, so that
-evaluations are compared, and seconds are those of a machine in full use. Runs have processes of
-their own, so that one that is killed ends alone.
+On one problem, a comparison is a multirun like `experiments.identify -m`: runs follow one another
+on one thread, repetition by repetition. On many problems, several runs share the machine, so
+evaluations are compared and seconds are indicative only. Each run has a separate process; if one
+is killed, the others continue. The figures, tables and tests follow the last run.
 
-python -m experiments.compare                        # reduced size, some three minutes
-python -m experiments.compare experiment=paper_fig6  # full size, some 70 minutes
+python -m experiments.compare                        # reduced size, about three minutes
+python -m experiments.compare experiment=paper_fig6  # full size, about 70 minutes
 python -m experiments.compare experiment=torque_gap  # gaps to a known optimum, half a minute
 python -m experiments.compare experiment=arena       # many methods on many problems, 41 minutes
 python -m experiments.compare experiment=arena_small # the same, small, two minutes
-python -m experiments.compare experiment=arena_sets  # two sets of the literature on optimization
+python -m experiments.compare experiment=arena_sets  # two published sets of test problems
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from experiments.app.plan import sweep_settings
 from experiments.app.runs import run
 
 SETTINGS = {
-    "experiment": "what is compared; experiment --help lists them",
-    "seed, optimizer": "both swept over: 'seed=range(5)' optimizer=miho,random",
+    "experiment": "the comparison; experiment --help lists them",
+    "seed, optimizer": "values to sweep over: 'seed=range(5)' optimizer=miho,random",
     "comparison.repetitions, .methods": "repetitions and methods of an arena",
-    "comparison.processes": "runs at a time, where several problems are compared",
-    "comparison.target": "runs on several problems end at so many times the optimum",
-    "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
-    "root, fresh": "where results go; fresh=true sets aside what is outdated",
+    "comparison.processes": "number of simultaneous runs of an arena",
+    "comparison.target": "an arena's run ends at this multiple of the recorded optimum",
+    "budget.evaluations, budget.seconds": "limits of a run; it ends at the first one reached",
+    "root, fresh": "folder of results; fresh=true sets outdated runs aside",
 }
 
 
 def compare(cfg: DictConfig) -> None:
-    """Run an arena: every method on every problem for each repetition, then draw and judge."""
+    """Run an arena (every method on every problem for each repetition), then draw and judge it."""
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
     plan, note = planned_arena(cfg, overrides)
     runs = run(
@@ -56,14 +56,14 @@ def compare(cfg: DictConfig) -> None:
 
 
 def draw_sweep(sweep: Sweep) -> int:
-    """Draw and judge the multirun of a comparison on one problem; gives the exit code."""
+    """Draw and judge the multirun of a comparison on one problem; return the exit code."""
     seeds = {request.identity.seed for request in sweep.plan}
     note = note_on_size(sweep.cfg, [], len(seeds))
     return draw(sweep.cfg, sweep.plan, sweep.states, sweep.typed, note)
 
 
 def main() -> None:
-    """The command."""
+    """Run the command."""
     command(compare, config_name="compare", pool=True, afterwards=draw_sweep, settings=SETTINGS)
 
 

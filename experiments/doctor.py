@@ -1,11 +1,11 @@
-"""Check the machine, the installation and a folder of results; one line for each check.
+"""Check the machine, the installation and a folder of results; print one line for each check.
 
 python -m experiments.doctor                          # machine and packages
-python -m experiments.doctor runs/identify            # its runs as well
+python -m experiments.doctor runs/identify            # also the runs in this folder
 python -m experiments.doctor runs/identify --quarantine
-python -m experiments.doctor --timing                 # the A/A test too, some five seconds
+python -m experiments.doctor --timing                 # also the A/A test, about five seconds
 
-Exit codes: 0 nothing has to be mended, 2 no such folder, 3 something failed.
+Exit codes: 0 no check failed, 2 no such folder, 3 a check failed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from experiments.diagnosis.results import result_checks
 
 
 def diagnose(arguments: Sequence[str] | None = None) -> int:
-    """Print the checks as they are made; the exit code."""
+    """Make the checks, print each result at once, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.doctor",
         description="Check this machine, the installed packages and a folder of results.",
@@ -36,13 +36,15 @@ def diagnose(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="move damaged runs to ROOT/.quarantine; nothing is deleted",
     )
-    parser.add_argument("--timing", action="store_true", help="compare a method with itself")
+    parser.add_argument(
+        "--timing", action="store_true", help="also compare a method with itself (A/A test)"
+    )
     options = parser.parse_args(arguments)
     root = options.root
     if options.quarantine and root is None:
         parser.error("--quarantine needs the ROOT of the runs")
     if root is not None and not root.is_dir():
-        raise FileNotFoundError(f"{root}: no such folder of runs; check its name")
+        raise FileNotFoundError(f"{root}: no such folder of runs; check the name")
     groups = [machine_checks(root or Path(), timing=options.timing), package_checks()]
     if root is not None:
         groups.append(result_checks(root, quarantine=options.quarantine))
@@ -57,7 +59,7 @@ def diagnose(arguments: Sequence[str] | None = None) -> int:
 
 
 def main() -> None:
-    """Diagnose, and exit with the code that fits."""
+    """Diagnose, and exit with the exit code."""
     run_and_exit(diagnose)
 
 

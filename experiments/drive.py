@@ -1,11 +1,10 @@
-"""Drive the paper's field tests in closed loop, and draw their figures.
+"""Simulate the paper's field tests in closed loop, and draw their figures.
 
-python -m experiments.drive experiment=ims_obstacle   # Fig. 7: around an obstacle, a minute
+python -m experiments.drive experiment=ims_obstacle   # Fig. 7: around an obstacle, one minute
 python -m experiments.drive experiment=lvms_laps      # Fig. 8: nine laps, 90 seconds
 python -m experiments.drive -m experiment=ims_obstacle drive.performance_factor=0.5,0.7
 
-A drive that leaves the road is written and drawn like any other, says so, and ends with exit code
-6.
+If the car leaves the road, the drive is written and drawn as usual, and the exit code is 6.
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ from experiments.driving.settings import as_config_error, driven, driver_of, tra
 
 SETTINGS = {
     "experiment": "ims_obstacle or lvms_laps, the field tests of the paper",
-    "track, vehicle, controller": "where is driven, with which car, controlled how",
-    "drive.known": "what planner and controllers know of the car: identified or truth",
-    "drive.equations": "corrected, printed, or one part of them: printed_plan, printed_steering",
-    "drive.performance_factor": "the share of the tires' grip that the plan uses (the paper's mu)",
-    "drive.road_friction": "what the road gives the car, which the plan does not know",
-    "drive.top_speed, .distance": "[m/s] and [m]; see --cfg job for all of drive",
-    "optimizer, seed": "what identifies the car, and the noise of all measurements",
-    "root": "where log, figure and table go; with -m each drive has a folder of its own below it",
+    "track, vehicle, controller": "the road, the car and its controller",
+    "drive.known": "car parameters that planner and controllers use: identified or truth",
+    "drive.equations": "corrected, printed, printed_plan or printed_steering",
+    "drive.performance_factor": "share of the tires' grip that the plan uses (the paper's mu)",
+    "drive.road_friction": "friction of the road, relative; the plan does not know it",
+    "drive.top_speed, .distance": "[m/s] and [m]; --cfg job shows all settings of drive",
+    "optimizer, seed": "the method that identifies the car; the seed of all measurement noise",
+    "root": "folder of log, figure and table; with -m each drive has a subfolder",
 }
 
 
 def drive(cfg: DictConfig) -> None:
-    """One drive: log, figure, table and the command that regenerates them, in `drive.output`."""
+    """Write log, figure, table and provenance of one drive to the folder `drive.output`."""
     road, line, vehicle = track_and_vehicle(cfg)
     car, parts = known_car(cfg, vehicle)
     with as_config_error():

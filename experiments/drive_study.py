@@ -1,10 +1,10 @@
-"""What identification buys: the same lap on true, identified and poor parameters, over seeds.
+"""Compare the same lap on true, identified and poor parameters, over several seeds.
 
 python -m experiments.drive_study experiment=identification_buys                          # 20 seeds
 python -m experiments.drive_study experiment=identification_buys comparison.repetitions=2 # a look
 
-A seed draws the noise of all measurements, of the dyno and of the lap. Seeds that were done before
-by the same code and settings are not done again.
+A seed draws the noise of the measurements, of the dyno and of the lap. Seeds that are stored for
+the same code and settings are not repeated.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from experiments.driving.study import check_study, each_seed, jobs_of, write_stu
 
 SETTINGS = {
     "experiment": "identification_buys",
-    "comparison.repetitions": "how many seeds",
-    "sweep.workers": "laps at a time, on this machine",
-    "seed": "the first of the seeds",
-    "root": "where laps, table and figure go",
+    "comparison.repetitions": "number of seeds",
+    "sweep.workers": "number of simultaneous laps, on this machine",
+    "seed": "the first seed",
+    "root": "folder of laps, table and figure",
 }
 
 
 def study(cfg: DictConfig) -> None:
-    """Do what is not done yet, then the table as text and CSV, the figure, and what made them."""
+    """Drive the laps that are not stored, then write the table, the figure and the provenance."""
     check_study(cfg)
     root = Path(cfg.root)
     root.mkdir(parents=True, exist_ok=True)

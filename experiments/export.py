@@ -1,11 +1,11 @@
-"""Write the runs of a root in a format that other tools read.
+"""Export the runs of a root in a format that other tools read.
 
 python -m experiments.export runs/arena --to csv                      # runs/arena/exports/csv
 python -m experiments.export runs/arena --to parquet --output FOLDER
 python -m experiments.export runs/arena ioh-folder   # IOHprofiler: IOHanalyzer, iohinspector
 
-CSV and Parquet hold two tables, a row per run and a row per step of its curve, and columns.json
-beside them says what each column is, in which unit, and the checksums of both files.
+CSV and Parquet hold two tables: one row per run, and one row per step of each curve. columns.json
+gives the meaning and the unit of each column, and the checksums of both files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ WRITERS = {"ioh": write_ioh, "csv": write_csv, "parquet": write_parquet}
 
 
 def main() -> None:
-    """Read the command line."""
+    """Parse the arguments and export."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.export",
         description="Export finished runs: as tables in CSV or Parquet, or in the IOHprofiler "
@@ -47,7 +47,9 @@ def main() -> None:
     def job() -> None:
         stored = load_runs(arguments.root)
         if stored.runs.empty:
-            raise ConfigError(f"{arguments.root}: holds no finished runs; run something first")
+            raise ConfigError(
+                f"{arguments.root}: holds no finished runs; run experiments.identify first"
+            )
         try:
             WRITERS[arguments.to](stored.runs, stored.curves, output)
         except (ValueError, FileExistsError, ModuleNotFoundError) as error:

@@ -1,14 +1,14 @@
-"""Do the faults of the fault table to this checkout, and measure: the tests in tests/faults.
+"""Inject the faults of the fault table into this checkout, and measure the effect (tests/faults).
 
-Those that judge seconds run alone and first, the others two at a time.
+Tests that measure seconds run first and alone; the other tests run two at a time.
 
-python -m experiments.faults                   # R1 to R35, some seven minutes
-python -m experiments.faults R7 R18            # some of them
-python -m experiments.faults --quick           # those that take a few seconds at most
-python -m experiments.faults --output FILE.md  # the table as Markdown as well
+python -m experiments.faults                   # R1 to R35, about seven minutes
+python -m experiments.faults R7 R18            # some rows
+python -m experiments.faults --quick           # rows that take a few seconds at most
+python -m experiments.faults --output FILE.md  # also write the table as Markdown
 
 Exit codes: 0 every row is met, or not judged because the machine is busy; 2 no such row; 3 a row is
-missed, missing or broken. It needs pytest and pytest-xdist, which `make test` installs.
+missed, missing or broken. The command needs pytest and pytest-xdist, which `make test` installs.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ FOLDER = Path(__file__).parents[1] / "tests" / "faults"
 
 
 def faults(arguments: Sequence[str] | None = None) -> int:
-    """Run the rows asked for; the exit code."""
+    """Run the requested rows and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.faults",
-        description="Do every fault of the fault table and measure what comes of it.",
+        description="Inject every fault of the fault table and measure the effect.",
     )
     parser.add_argument("rows", nargs="*", metavar="R1", help="rows to run; all by default")
-    parser.add_argument("--quick", action="store_true", help="only rows that take little time")
+    parser.add_argument("--quick", action="store_true", help="only rows that take a few seconds")
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the table as Markdown")
     options = parser.parse_args(arguments)
     rows = [row.upper() for row in options.rows]
@@ -45,7 +45,7 @@ def faults(arguments: Sequence[str] | None = None) -> int:
     missing = [name for name in ("pytest", "xdist") if importlib.util.find_spec(name) is None]
     if missing:
         parser.error(f"needs a library that is missing ({', '.join(missing)}); run make test first")
-    import pytest  # of the extra dev, which a checkout that only runs has not
+    import pytest  # in the extra dev, which a user need not install
 
     selection = " or ".join(f"fault(row='{row}')" for row in rows) or "fault"
     if options.quick:

@@ -1,12 +1,12 @@
-"""Draw the paper's figures from the store.
+"""Draw the paper's figures from stored runs.
 
-python -m experiments.figures fig6   # error over time, and the claims table, of the methods that
-                                     # a root holds runs of (by default after `compare`)
+python -m experiments.figures fig6   # error over time, and the claims table, of all methods with
+                                     # runs in the root (by default the runs of `compare`)
 python -m experiments.figures fig6 root=runs/identify methods=paper   # the paper's five and Optuna
-python -m experiments.figures fig4   # the four learned tires, and the front axle on a drive
-                                     # (after `identify` on each of the tires)
+python -m experiments.figures fig4   # the four identified tires, and the front axle on a drive
+                                     # (after `identify` on each tire)
 python -m experiments.figures arena  # leaderboard, tests and profiles (after experiment=arena)
-python -m experiments.figures fig4_right # the front axle over laps it was not learned from (after
+python -m experiments.figures fig4_right # the front axle on laps that the fit did not use (after
                                          # `identify` with dataset=axle_log and dataset.end)
 python -m experiments.figures fig5   # torque curves and engine map (after `identify` on torque_*)
 """
@@ -28,15 +28,15 @@ from experiments.app.drawing import (
 )
 
 OPTIONS = ("root", "output", "optimizer", "methods", "problem")
-"""May be given as --root PATH and as root=PATH."""
+"""Options that may be written as --root PATH or as root=PATH."""
 
 
 def main() -> None:
-    """Read the command line."""
+    """Parse the arguments and draw a figure."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.figures",
-        description="Draw a figure of the paper from finished runs, as PNG and PDF. Each option "
-        "may be written as an override is as well: root=PATH.",
+        description="Draw a figure of the paper from finished runs, as PNG and PDF. Options may "
+        "also be written as overrides: root=PATH.",
     )
     parser.add_argument("name", choices=("fig4", "fig4_right", "fig5", "fig6", "arena"))
     parser.add_argument(
@@ -44,14 +44,14 @@ def main() -> None:
         type=Path,
         help="folder of runs (fig6: runs/compare; arena: runs/arena; else runs/identify)",
     )
-    parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
+    parser.add_argument("--output", type=Path, help="folder of the figures (ROOT/figures)")
     parser.add_argument(
-        "--optimizer", default="miho", help="of fig4, fig4_right, fig5 (default: miho)"
+        "--optimizer", default="miho", help="method of fig4, fig4_right and fig5 (miho)"
     )
     parser.add_argument(
-        "--methods", metavar="NAME,NAME", help="of fig6: paper, or some of those of the root (all)"
+        "--methods", metavar="NAME,NAME", help="for fig6: paper, or names of methods (all)"
     )
-    parser.add_argument("--problem", help="of fig6, where the root holds runs on several")
+    parser.add_argument("--problem", help="for fig6, if the root holds runs on several problems")
     arguments = parser.parse_args(as_options(sys.argv[1:], OPTIONS))
     usual = {"fig6": "compare", "arena": "arena"}.get(arguments.name, "identify")
     root = arguments.root or Path("runs", usual)

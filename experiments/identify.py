@@ -1,4 +1,4 @@
-"""Identify the parameters of one model from one dataset; with -m, sweep.
+"""Identify the parameters of a model from a dataset; with -m, sweep over several settings.
 
 python -m experiments.identify model=pacejka dataset=tire_lf optimizer=miho_gn seed=0
 python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10)' sweep.workers=2
@@ -26,24 +26,24 @@ from experiments.app.runs import HERE, run
 from miho.study import Status
 
 SETTINGS = {
-    "model, dataset, space": "what is identified, from which data, and where to search",
-    "problem.parts, problem.local": "several datasets or outputs at once; what is each one's",
-    "optimizer, loss": "with which method, and what it minimises",
-    "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
-    "seed": "the repetition; with -m several, as in 'seed=range(10)'",
-    "workers, evaluation_limit": "what makes evaluations that take long; seconds for one at most",
-    "root, fresh": "where results go; fresh=true sets aside what is outdated",
-    "space.NAME.low, .high, .scale": "the box of a parameter; 'space={a: {...}}' is a whole one",
-    "sweep.workers, .dry_run": "with -m: runs at a time, or their cluster; list them only",
+    "model, dataset, space": "the model, its data, and the box of the parameters",
+    "problem.parts, problem.local": "several datasets or outputs at once; parameters of each part",
+    "optimizer, loss": "the method, and the loss that it minimises",
+    "budget.evaluations, budget.seconds": "limits of a run; it ends at the first one reached",
+    "seed": "seed of the run; with -m several, as in 'seed=range(10)'",
+    "workers, evaluation_limit": "processes for expensive evaluations; seconds allowed for one",
+    "root, fresh": "folder of results; fresh=true sets outdated runs aside",
+    "space.NAME.low, .high, .scale": "range of a parameter; 'space={a: {...}}' replaces the box",
+    "sweep.workers, .dry_run": "with -m: simultaneous runs, or a cluster; only list the runs",
     "hydra/launcher, hydra/sweeper": "with -m: joblib, slurm; optuna tunes settings of a method",
-    "tracking": "mlflow: mirror finished runs there",
+    "tracking": "mlflow copies finished runs to MLflow",
 }
 
 
 def identify(cfg: DictConfig) -> float | None:
-    """Run one composed configuration in this process; gives the error that it reached.
+    """Run one composed configuration in this process and return its error.
 
-    A single run prints its parameters and its report; a job of a sweep prints one line.
+    A single run prints its parameters and its report. A job of a sweep prints one line.
     """
     settings = sweep_settings(cfg.sweep)
     if settings.dry_run:

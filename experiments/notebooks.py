@@ -1,6 +1,6 @@
-"""Run the notebooks and keep what they show, so that a reader of the repository sees it.
+"""Run the notebooks and store them with their outputs, for readers of the repository.
 
-python -m experiments.notebooks            # all of them, some two minutes
+python -m experiments.notebooks            # all notebooks, about two minutes
 python -m experiments.notebooks read_a_sweep
 """
 
@@ -19,15 +19,15 @@ from nbclient import NotebookClient
 CHECKOUT = Path(__file__).resolve().parents[1]
 FOLDER = CHECKOUT / "notebooks"
 LIMIT = 300
-"""Seconds for one cell."""
+"""Time limit of one cell [s]."""
 TOPS = "home|root|tmp|usr|opt|var|work|mnt|srv|Users|private"
 """Where absolute paths begin."""
 
 
 def run_notebook(path: Path) -> nbformat.NotebookNode:
-    """The notebook with what its cells show, from a kernel of its own with nothing of the user's.
+    """Run a notebook in a new kernel without the user's settings; return it with its outputs.
 
-    Raises ValueError where a cell shows a place or a name of this machine, which no reader has.
+    Raises ValueError if an output shows a path or the name of this machine.
     """
     notebook = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as home:
@@ -47,7 +47,7 @@ def run_notebook(path: Path) -> nbformat.NotebookNode:
 
 
 def shown_text(notebook: nbformat.NotebookNode) -> str:
-    """All text that the cells show, without pictures."""
+    """Text of all outputs, without images."""
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     texts = [str(output.get("text", "")) for output in outputs]
     for output in outputs:
@@ -56,7 +56,7 @@ def shown_text(notebook: nbformat.NotebookNode) -> str:
 
 
 def machine_names(notebook: nbformat.NotebookNode) -> list[str]:
-    """Absolute paths in what the cells show, and this machine's name."""
+    """Absolute paths in the outputs, and the name of this machine if it occurs."""
     text = shown_text(notebook)
     paths = re.findall(
         r"(?<![\w.<])/(?:home|root|tmp|usr|opt|work|Users|var|private)/[^\s\"'<]*", text
@@ -66,7 +66,7 @@ def machine_names(notebook: nbformat.NotebookNode) -> list[str]:
 
 
 def main(names: list[str]) -> None:
-    """Run the named notebooks, or all, and store each with what it shows."""
+    """Run the named notebooks, or all, and store each with its outputs."""
     for path in sorted(FOLDER.glob("*.ipynb")):
         if not names or path.stem in names:
             print(path.relative_to(CHECKOUT), flush=True)

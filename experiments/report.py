@@ -1,4 +1,4 @@
-"""How far to trust an identification: intervals, identifiability, validation, as text and a page.
+"""Report on an identification as text and a page: intervals, identifiability, validation.
 
 python -m experiments.report runs/identify                     # ROOT/report.html: all runs, and
                                                                # the best run of each problem
@@ -25,16 +25,22 @@ from miho.study import read_run
 
 
 def main() -> int:
-    """Report on what a folder holds; 3 if that failed for some of its runs."""
+    """Report on the run or the runs in a folder; return 3 if a report failed."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.report",
         description="Intervals, identifiability and validation of finished runs.",
     )
-    parser.add_argument("path", type=root_folder, help="a run's folder, or a root: its best runs")
-    parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="replicates: 1000")
+    parser.add_argument(
+        "path",
+        type=root_folder,
+        help="folder of one run, or a root (all runs, best ones in detail)",
+    )
+    parser.add_argument(
+        "--bootstrap", type=int, default=0, metavar="N", help="number of replicates, e.g. 1000 (0)"
+    )
     parser.add_argument(
         "--profile", action=argparse.BooleanOptionalAction, default=None,
-        help="profile likelihood; by default for up to 10 parameters",
+        help="intervals by profile likelihood (by default for up to 10 parameters)",
     )  # fmt: skip
     parser.add_argument(
         "--check", type=float, nargs="?", const=CHECK_SECONDS, metavar="SECONDS",
@@ -42,32 +48,42 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument(
         "--seconds", type=float,
-        help="for what is not asked for by name (those of the run's budget, "
-        f"{LEAST_SECONDS:g} to {SECONDS:g})",
+        help="time limit for steps without an option of this command (the run's "
+        f"budget, {LEAST_SECONDS:g} to {SECONDS:g} s)",
     )  # fmt: skip
     parser.add_argument(
         "--next", type=Path, dest="candidates", metavar="CSV",
-        help="of one run: rows that could be measured next (docs/next-measurement.md)",
+        help="for one run: candidate rows for the next measurement (docs/next-measurement.md)",
     )  # fmt: skip
-    parser.add_argument("--rows", type=int, help="how many of them, or of their --groups")
-    parser.add_argument("--goal", help="parameter or derived quantity to narrow; all parameters")
-    parser.add_argument("--groups", metavar="COLUMN", help="rows to be measured together")
-    parser.add_argument("--posterior", action="store_true", help="of one run: posterior.nc")
-    parser.add_argument("--workers", type=workers, default="1", help="share refits that take long")
-    parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
-    parser.add_argument("--trust", action="store_true", help="run models in files of your own")
+    parser.add_argument("--rows", type=int, help="number of candidates, or --groups, to choose")
+    parser.add_argument("--goal", help="parameter or derived quantity to narrow (all parameters)")
     parser.add_argument(
-        "--quick", "--no-detail", action="store_true", help="of a root: no intervals, no page each"
+        "--groups", metavar="COLUMN", help="column that names rows to be measured together"
     )
-    parser.add_argument("--output", type=Path, help="folder; by default reports/ in the root")
-    # What is out of range, or meant for a root, is refused before anything is read.
+    parser.add_argument(
+        "--posterior", action="store_true", help="for one run: sample the posterior (posterior.nc)"
+    )
+    parser.add_argument(
+        "--workers", type=workers, default="1",
+        help="processes for expensive refits: a number, -1 for one per core, or an address (1)",
+    )  # fmt: skip
+    parser.add_argument("--level", type=float, default=0.95, help="level of the intervals (0.95)")
+    parser.add_argument(
+        "--trust", action="store_true", help="allow to run the model files that a run names"
+    )
+    parser.add_argument(
+        "--quick", "--no-detail", action="store_true",
+        help="for a root: without intervals and without a page for each best run",
+    )  # fmt: skip
+    parser.add_argument("--output", type=Path, help="folder of the pages (ROOT/reports)")
+    # Options that are out of range, or do not fit the path, are refused before anything is read.
     arguments = parser.parse_args()
     if arguments.bootstrap < 0 or not 0 < arguments.level < 1:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
     if any(limit is not None and not limit > 0 for limit in (arguments.seconds, arguments.check)):
         parser.error("--seconds and --check must be above 0")
     if (arguments.candidates is None) != (arguments.rows is None):
-        parser.error("--next needs --rows, how many of the candidates to choose, and they need it")
+        parser.error("--next and --rows (the number of candidates to choose) need each other")
     options = Options(**{name: value for name, value in vars(arguments).items() if name != "path"})
     if ((path := arguments.path) / "result.json").is_file():
         if arguments.quick:
@@ -82,7 +98,7 @@ def main() -> int:
 
 
 def run() -> None:
-    """Report, and exit with the code that fits."""
+    """Report, and exit with the exit code."""
     run_and_exit(main)
 
 

@@ -1,13 +1,13 @@
-"""Write the finished runs of a root into MLflow: what is missing, half there or not equal.
+"""Copy the finished runs of a root to MLflow: missing, incomplete and changed ones.
 
 python -m experiments.sync runs/identify                  # a database below runs/identify/.mlflow
 python -m experiments.sync runs/identify --uri http://tracker:5000 --experiment tires
 
-MLflow then shows for each run its settings, results and the error over evaluations (x-axis: step)
+MLflow then shows the settings and results of each run, the error over evaluations (x-axis: step)
 or over seconds (x-axis: relative time), and the figures of the root. Its charts join the points by
-straight lines; the true curve is a step function, whole in each run's curve.csv.
+straight lines; the true curve is a step function, stored completely in curve.csv of each run.
 
-MLflow keeps absolute paths: after a root was moved, delete its .mlflow and write it again.
+MLflow stores absolute paths: after a root was moved, delete its folder .mlflow and copy again.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from miho.study import load_runs
 
 
 def main() -> int:
-    """Read the command line; 3 if some runs could not be written."""
+    """Parse the arguments and copy; return 3 if some runs could not be written."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.sync",
-        description="Mirror finished runs into MLflow. What is there and equal is left as it is.",
+        description="Copy finished runs to MLflow. Runs that are there and equal are not touched.",
     )
     parser.add_argument("root", type=root_folder, help="folder of runs")
-    parser.add_argument("--uri", help="of the tracker; by default SQLite below ROOT/.mlflow")
-    parser.add_argument("--experiment", help="its name there; by default that of the root")
+    parser.add_argument("--uri", help="address of the tracker (a SQLite file below ROOT/.mlflow)")
+    parser.add_argument("--experiment", help="name of the experiment in MLflow (name of the root)")
     arguments = parser.parse_args()
     stored = load_runs(arguments.root)
     tracker = connect(arguments.root, arguments.uri, arguments.experiment)
@@ -60,7 +60,7 @@ def main() -> int:
 
 
 def pages_need() -> str:
-    """What to install before the pages can be looked at: the extra only writes, and stays light."""
+    """Command that installs the server of the pages, if it is missing: the extra only writes."""
     if importlib.util.find_spec("flask") is not None:
         return ""
     return f"pip install mlflow=={version('mlflow-skinny')} && "

@@ -1,4 +1,4 @@
-"""Arguments of commands without Hydra, which may be written as its overrides are: root=PATH."""
+"""Arguments of commands without Hydra, which may also be written as overrides: root=PATH."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 
 def as_options(words: Sequence[str], names: Collection[str]) -> list[str]:
-    """`words` in which `name=value` of these names is `--name=value`, which argparse reads."""
+    """Replace `name=value` by `--name=value` for these names, so that argparse reads it."""
     return [f"--{word}" if word.partition("=")[0] in names else word for word in words]
 
 
 def root_folder(text: str) -> Path:
-    """A folder of runs given in its place, with or without `root=` before it."""
+    """Path of a folder of runs, given with or without `root=`."""
     return Path(text.removeprefix("root="))

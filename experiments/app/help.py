@@ -1,4 +1,4 @@
-"""What --help prints: of a command, of a group of options, of one option."""
+"""Texts of --help: of a command, of a group of options, of one option."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ WIDTH = 100
 
 FOOTER = """\
 more:
-  GROUP --help            the options of a group, such as: dataset --help
-  GROUP=OPTION --help     the file of one of them, such as: dataset=csv --help
-  --cfg job               the whole configuration, any value of which can be replaced
-  --config-dir FOLDER     further options of your own, such as FOLDER/experiment/mine.yaml
-  --hydra-help            the options of Hydra, which composes the configuration
-  --shell-completion      a script that completes groups and options with the tabulator key
-Exit codes: 0 ok, 1 a bug, 2 bad input, 3 some runs failed, 4 storage, 5 finished runs are of other
-code, data or settings (fresh=true), 6 a simulated car left its road, 130 interrupted."""
+  GROUP --help            list the options of a group, e.g. dataset --help
+  GROUP=OPTION --help     show the file of an option, e.g. dataset=csv --help
+  --cfg job               show the whole configuration; KEY=VALUE replaces any value
+  --config-dir FOLDER     add your options, e.g. FOLDER/experiment/mine.yaml
+  --hydra-help            show the options of Hydra, which composes the configuration
+  --shell-completion      print a bash script that completes groups and options
+Exit codes: 0 success, 1 bug, 2 bad input, 3 some runs failed, 4 storage error, 5 finished runs used
+other code, data or settings (add fresh=true), 6 a simulated car left its road, 130 interrupted."""
 
 
 def completion() -> str:
-    """A script for bash that completes groups and options of conf/ after `python -m`.
+    """Bash script that completes groups and options of conf/ after `python -m`.
 
-    Hydra's own (`-sc install=bash`) does not know `python -m`, and starts Python for each key.
+    Hydra's script (`-sc install=bash`) does not support `python -m`, and starts Python at each key.
     """
     script = Path(__file__).with_name("completion.bash").read_text(encoding="utf-8")
     return script.replace("@CONF@", shlex.quote(str(CONF))).strip()
@@ -40,9 +40,9 @@ def help_text(
     overrides: Sequence[str],
     folders: Sequence[Path],
 ) -> str:
-    """Help on the last of `overrides` that names a group or an option, else on the command.
+    """Help on the last override that names a group or an option, else on the command.
 
-    folders: conf/ and further folders of options.
+    `folders` are conf/ and further folders of options.
     """
     for text in reversed(overrides):
         group, _, option = text.partition("=")
@@ -55,7 +55,7 @@ def help_text(
 
 
 def _command(task: Callable[..., Any], settings: Mapping[str, str], folders: Sequence[Path]) -> str:
-    """What a command does, its own settings, and the groups that it chooses from."""
+    """Help on a command: its description, its settings, and the groups of options."""
     description = (sys.modules[task.__module__].__doc__ or "").strip()
     width = max(map(len, settings), default=0)
     setting_lines = [f"  {key:<{width}}  {meaning}" for key, meaning in settings.items()]
@@ -67,7 +67,7 @@ def _command(task: Callable[..., Any], settings: Mapping[str, str], folders: Seq
 
 
 def _options(group: str, options: Sequence[str], folders: Sequence[Path]) -> str:
-    """The options of a group, each with the first sentence of its file."""
+    """Options of a group, each with the first comment of its file."""
     width = max(map(len, options))
     room = WIDTH - width - 4
     titles = [textwrap.shorten(_title(source(group, name, folders)), room) for name in options]

@@ -1,4 +1,4 @@
-"""The files of conf/, and of further folders: which groups and options there are."""
+"""Groups and options in conf/ and in further folders."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ CONF = Path(__file__).parents[2] / "conf"
 
 
 def groups_of(folders: Sequence[Path] = (CONF,)) -> list[str]:
-    """The groups to choose from, without Hydra's own."""
+    """Names of the groups, without the groups of Hydra."""
     names = {path.name for folder in folders for path in folder.iterdir() if path.is_dir()}
     return sorted(name for name in names - {"hydra"} if options_of(name, folders))
 
 
 def options_of(group: str, folders: Sequence[Path] = (CONF,)) -> list[str]:
-    """The options of a group, those in its subfolders by their paths, such as r500/miho."""
+    """Names of the options of a group; in subfolders the path, such as r500/miho."""
     if not group or not set(group.split("/")).isdisjoint({"", ".", ".."}):
         return []
     return sorted(
@@ -28,7 +28,7 @@ def options_of(group: str, folders: Sequence[Path] = (CONF,)) -> list[str]:
 
 
 def source(group: str, option: str, folders: Sequence[Path] = (CONF,)) -> str:
-    """The file of an option with its comments; empty for one that a package registers."""
+    """Text of the file of an option; empty if a package registers the option."""
     for folder in folders:
         path = folder / group / f"{option}.yaml"
         if path.is_file():
