@@ -83,7 +83,7 @@ def main() -> int:
     if any(limit is not None and not limit > 0 for limit in (arguments.seconds, arguments.check)):
         parser.error("--seconds and --check must be above 0")
     if (arguments.candidates is None) != (arguments.rows is None):
-        parser.error("--next and --rows (the number of candidates to choose) need each other")
+        parser.error("--next needs --rows (how many candidates to choose), and --rows needs --next")
     options = Options(**{name: value for name, value in vars(arguments).items() if name != "path"})
     if ((path := arguments.path) / "result.json").is_file():
         if arguments.quick:

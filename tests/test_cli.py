@@ -116,7 +116,7 @@ def test_a_method_that_leaves_the_box_is_remarked(identify: Command) -> None:
     """The authors' code clips at lower bounds only, and so does this choice."""
     small = ["optimizer.R=300", "dataset.n=200", "budget.evaluations=3000"]
     out = identify("optimizer=miho_reference", *small)[1]
-    assert re.search(r"evaluations, at least \d+ of them outside of the box", out)
+    assert re.search(r"evaluations, at least \d+ of them outside the box", out)
     assert re.search(r"^outside +at least \d+ evaluations", out, re.MULTILINE)
     assert "outside" not in identify("optimizer=miho", *small)[1]
 
@@ -214,13 +214,16 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a seed that is no whole number": (["seed=1.5"], "seed: is 1.5; expected a whole number"),
     "several values without -m": (["seed=1,2"], "To sweep over it, add --multirun"),
     "no values": (["-m", "seed=range(0)"], "-m: has no values to sweep over"),
-    "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
+    "no override": (["my.csv"], "my.csv: is not a setting; write KEY=VALUE"),
     "a parameter added for nothing": (
         ["+space.a={unit: V, low: 1, high: 3}"],
         "needs the parameters B, C, D, Sx, Sy; the space also has a",
     ),
     "a parameter added in part": (["+space.a.low=1"], "space.a.unit: is missing"),
-    "nothing for a choice": (["space=null"], "space=null: is no choice; ~space leaves it out"),
+    "nothing for a choice": (
+        ["space=null"],
+        "space=null: is not an option; ~space removes the group",
+    ),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
     "a shell's brackets": (
         ["dataset.units={a: m/s^2}"],
@@ -228,7 +231,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     ),
     "letters that are to be quoted": (
         ["dataset.headers=[Schräglauf]"],
-        """inside it what is no plain word, as in 'dataset.headers=["m/s^2", "Schräglauf"]'""",
+        """quote names with other characters, as in 'dataset.headers=["m/s^2", "Schräglauf"]'""",
     ),
     "letters that cannot be quoted": (
         ["dataset.where={Schräglauf: [0, 1]}"],

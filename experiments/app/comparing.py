@@ -1,4 +1,4 @@
-"""Which runs an arena is made of: many methods on many problems."""
+"""Runs of an arena: many methods on many problems."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from miho.study import Status
 
 
 def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], str]:
-    """The runs of an arena, and a note on its size for figures."""
+    """Runs of an arena, and a note on its size for figures."""
     _check(cfg, overrides)
     arena = plan_arena(cfg, overrides)
     for name, reason in arena.left_out.items():
@@ -36,7 +36,7 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
     problems = len({request.identity.problem for request in arena.plan})
     size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
     if arena.left_out:
-        size.append(f"without {', '.join(arena.left_out)}, which were not to be had here")
+        size.append(f"without {', '.join(arena.left_out)}, which were not available")
     note = note_on_size(cfg, size, cfg.comparison.repetitions)
     if cfg.comparison.target is not None:
         note += f", runs end at {cfg.comparison.target:g} times the optimum"
@@ -44,7 +44,7 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
 
 
 def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
-    """Raise ConfigError for an arena that cannot be."""
+    """Raise ConfigError for an impossible arena."""
     if not (cfg.comparison.methods and cfg.comparison.problems):
         raise ConfigError(
             "experiment: compares nothing; choose one that sweeps over methods, such as "
@@ -59,7 +59,7 @@ def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
 
 
 def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:
-    """The note on the size of a comparison, for figures and tables."""
+    """Note on the size of a comparison, for figures and tables."""
     parts = [cfg.comparison.note] if cfg.comparison.note else []
     parts += [*size, f"{repetitions} repetitions"]
     if cfg.budget.seconds is not None:
@@ -71,16 +71,16 @@ def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:
 
 @dataclass(frozen=True)
 class ArenaPlan:
-    """The runs of an arena, and the problems and methods left out, with the reason."""
+    """Runs of an arena, and the problems and methods that are left out, with the reason."""
 
     plan: tuple[Request, ...]
     left_out: Mapping[str, str]
 
 
 def chosen_method(name: str, settings: Mapping[str, Any]) -> list[str]:
-    """Hydra's overrides that choose a method of conf/optimizer and replace some of its settings.
+    """Overrides of Hydra that choose a method of conf/optimizer and replace some of its settings.
 
-    JSON is what Hydra reads too: null, true, numbers and quoted strings.
+    Hydra can read JSON: null, true, numbers and quoted strings.
     """
     replaced = (f"optimizer.{key}={json.dumps(value)}" for key, value in settings.items())
     return [f"optimizer={name}", *replaced]
@@ -91,12 +91,12 @@ def plan_arena(
 ) -> ArenaPlan:
     """Compose and check every problem and every method of `cfg.comparison` once.
 
-    A problem whose data cannot be had is left out, and so is a method whose library is not
-    installed; raises ConfigError for any other fault, and where fewer `methods` or `families` of
-    problems are left than the tests that follow need (Friedman's: 3 on 2).
+    A problem is left out if its data are not available, and a method if its library is not
+    installed. Raises ConfigError for other faults, and if fewer `methods` or `families` of problems
+    are left than the statistical tests need (Friedman's test: 3 methods on 2 families).
 
-    Runs come problem by problem, so that a worker builds each problem once, and all methods with
-    one seed after the other: they meet the same load of the machine.
+    Runs are ordered by problem, so that a worker builds each problem once, and then by seed, so
+    that all methods run under the same load of the machine.
     """
     comparison = cfg.comparison
     left_out: dict[str, str] = {}
@@ -105,7 +105,7 @@ def plan_arena(
     kinds = set()
     count = len(comparison.methods) + len(comparison.problems)
     with tqdm(total=count, desc="planning", leave=False, disable=None) as bar:
-        # Methods first: what is not installed is left out of every problem.
+        # Methods first: a method that is not installed is left out on every problem.
         for name, replaced in comparison.methods.items():
             bar.update()
             method = plain(composed(chosen_method(name, replaced)))
@@ -115,7 +115,7 @@ def plan_arena(
                 left_out[name] = str(error)
                 continue
             optimizers.append({key: method[key] for key in ("optimizer", "method")})
-        # A problem with each of the methods, interleaved by seed.
+        # Then each problem with all methods, interleaved by seed.
         for name in comparison.problems:
             bar.update()
             problem = composed([*overrides, f"problem={name}"])
@@ -156,15 +156,15 @@ def draw(
     overrides: Sequence[str],
     note: str,
 ) -> int:
-    """Draw and judge a comparison, unless runs of it are missing; gives the exit code."""
+    """Draw and judge a comparison, unless some of its runs are missing; return the exit code."""
     failed = [s.line for s in states if s.error is None and s.reason is not None]
     if failed:
         print("\n".join(failed), file=sys.stderr)
-        print(f"runs missing: {len(failed)}; nothing is drawn, run again", file=sys.stderr)
+        print(f"runs missing: {len(failed)}; no figure is drawn, run again", file=sys.stderr)
         return SOME_FAILED
     if any(state.status is Status.TO_DO for state in states):  # of a dry run
         return OK
-    # Here, because a worker process needs no figures, and they take a second to import.
+    # Imported here: worker processes need no figures, and the import takes a second.
     from experiments.app.drawing import draw_arena, draw_comparison
     from miho.analysis.compare.comparison import write_comparison
 

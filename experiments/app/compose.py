@@ -1,4 +1,4 @@
-"""Composing configurations from conf/ with Hydra's compose API, inside and outside of commands."""
+"""Composition of configurations from conf/ with the compose API of Hydra."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from experiments.app.explain import (
 CONF = Path(__file__).parents[2] / "conf"
 VERSION_BASE = "1.3"
 PLUGINS = Path(__file__).parents[1] / "plugins"
-"""Hydra finds plugins in packages `hydra_plugins` on the path of Python; ours lies here."""
+"""Folder of our plugins: Hydra finds them in packages `hydra_plugins` on the path of Python."""
 
 if str(PLUGINS) not in sys.path:
     sys.path.append(str(PLUGINS))
 
 
 def composed(overrides: Sequence[str]) -> DictConfig:
-    """The configuration that the overrides give, with the name of its method.
+    """Compose the configuration of some overrides, with the name of its method.
 
-    Inside a command it is composed from the folders of that command, --config-dir included, and
-    outside of one from conf/. Raises ConfigError.
+    Inside a command, its folders are used, including --config-dir; otherwise, conf/. Raises
+    ConfigError.
     """
     if GlobalHydra.instance().is_initialized():
         return _copied(tuple(overrides))
@@ -49,7 +49,7 @@ def _copied(overrides: tuple[str, ...]) -> DictConfig:
 
 @cache
 def _once(overrides: tuple[str, ...], search_path: tuple[str, ...]) -> DictConfig:
-    """Composing takes a tenth of a second, so each configuration is composed once."""
+    """Compose each configuration only once, because it takes a tenth of a second."""
     check_choices(overrides)
     try:
         config = compose("config", replace_spaces(overrides), return_hydra_config=True)
@@ -59,10 +59,10 @@ def _once(overrides: tuple[str, ...], search_path: tuple[str, ...]) -> DictConfi
 
 
 def job_config(config: DictConfig, choices: Mapping[str, str | None]) -> DictConfig:
-    """`config` without its node `hydra`, and with the name of its method.
+    """Copy `config` without its node `hydra`, and add the name of its method.
 
-    The method has the name of the option that was chosen for the group `optimizer`, without the
-    folder of that option, unless `method` names it.
+    Unless `method` gives the name, it is the chosen option of the group `optimizer` without its
+    folder.
     """
     with open_dict(config):
         config.pop("hydra", None)

@@ -1,4 +1,4 @@
-"""What conf/ says now of the problems of runs that are done."""
+"""Current facts in conf/ about the problems of finished runs."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
 
 PROBLEM_PARTS = ("model", "dataset", "space", "loss")
-"""What makes a problem, and with it its optimum."""
+"""Nodes that define a problem, and hence its optimum."""
 
 
 def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
-    """`runs` with `optimum` as conf/problem has it now, and the columns `family` and `cut`.
+    """Add the current `optimum` of conf/problem and the columns `family` and `cut` to `runs`.
 
-    An optimum is no part of a run's identity, so the store may hold one that was corrected since.
-    What was run with another model, dataset, space or loss than conf/problem has, or has no file
-    there, keeps what is stored. Where a problem has a resolution, smaller errors are equal to it,
-    and so is the optimum. `cut` is true where a run had spent its seconds before its evaluations
-    and had not ended by itself.
+    An optimum is not part of a run's identity, so a stored one may have been corrected since. Runs
+    with another model, dataset, space or loss than conf/problem, or without a file there, keep the
+    stored optimum. If a problem has a resolution, smaller errors and optima are set to it. `cut` is
+    true if a run used up its seconds before its evaluations and did not converge.
     """
     schema.register()
     pieces = []
@@ -45,13 +44,13 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _is_same(stored: StoredRun, cfg: DictConfig) -> bool:
-    if stored.config["problem"].get("parts"):  # no problem there has several
+    if stored.config["problem"].get("parts"):  # conf/problem has no joint problems
         return False
     return all(_resolved(stored.config[key]) == _resolved(cfg[key]) for key in PROBLEM_PARTS)
 
 
 def _resolved(node: Any) -> Any:
-    """Plain settings; a run stores what became of a box that is `scaled`, and not that it was."""
+    """Plain settings without `scaled`: a run stores only the resulting numbers of a scaled box."""
     plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else node
     if not isinstance(plain, Mapping):
         return plain
@@ -60,7 +59,7 @@ def _resolved(node: Any) -> Any:
 
 
 def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:
-    """All runs of a problem have the budget of the `stored` one."""
+    """Column `cut` of runs that all have the budget of the `stored` one."""
     budget = stored.config["budget"]
     late = pd.Series(budget["seconds"] is not None, index=runs.index)
     if budget["seconds"] is not None:

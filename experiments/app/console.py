@@ -1,5 +1,4 @@
-"""What all commands share: Hydra composes and calls them, errors are one line, exit codes have a
-meaning."""
+"""The frame of all commands: composition by Hydra, errors in one line, and exit codes."""
 
 from __future__ import annotations
 
@@ -46,8 +45,8 @@ from miho.study.changes import ResumeRefused
 from miho.study.redaction import redacted
 
 tqdm.set_lock(threading.RLock())
-"""Bars of other processes are none of ours: the lock by default is a semaphore of the system, which
-a process that is killed leaves behind."""
+"""tqdm needs only a lock between threads; its default, a semaphore of the system, remains after a
+process is killed."""
 
 OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, LEFT_ROAD, PIPE_CLOSED = 0, 1, 2, 3, 4, 5, 6, 141
 BY_SIGNAL = 128
@@ -66,7 +65,7 @@ VALUED = (
 
 
 class EndedError(Exception):
-    """A command has printed how it ended; `code` is the exit code that says so."""
+    """A command has printed its ending; `code` is its exit code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"exit code {code}")
@@ -74,32 +73,32 @@ class EndedError(Exception):
 
 
 class _Refused(BaseException):
-    """Passes the end of a single run through Hydra, which would print a line of its own."""
+    """Carry the end of a single run through Hydra, which would print another line."""
 
 
 class _Left(BaseException):
-    """A command ended by a call that only the user's code can have made."""
+    """The user's code ended the command by SystemExit."""
 
 
 class Job:
-    """The function that Hydra calls for each of its jobs: a task, and how its runs ended.
+    """The function that Hydra calls for each job: a task, and the runs of a sweep.
 
     Parameters
     ----------
     task
-        Does one composed configuration; gives the error that was reached, if it is to be optimised.
+        Runs one composed configuration; returns the error if a sweeper minimises it.
     pool
-        Whether the jobs of a sweep may be done by our pool of workers instead of by `task`.
+        Whether the pool of workers may run the jobs of a sweep instead of `task`.
     """
 
     def __init__(self, task: Task, *, pool: bool = False) -> None:
         functools.update_wrapper(self, task)
         self.task, self.pool = task, pool
         self.sweep: Any = None
-        """The `experiments.app.launch.Sweep` of the pool, once it has begun."""
+        """The `experiments.app.launch.Sweep` of the pool, after its start."""
 
     def __call__(self, cfg: DictConfig) -> float | None:
-        """Do one job. Bad input of a single run, or an end that it printed, is no failed job."""
+        """Run one job; bad input of a single run, or an ending that it printed, is no failure."""
         context = HydraConfig.get()
         alone = context.mode is RunMode.RUN
         try:
@@ -108,7 +107,7 @@ class Job:
             if alone:
                 raise _Refused from error
             raise
-        except SystemExit as error:  # of a model: nothing of ours ends a task by it
+        except SystemExit as error:  # only a model's code raises it in a task
             call = f"SystemExit({error.code!r})"
             if alone:
                 raise _Left(call).with_traceback(error.__traceback__) from None
@@ -123,24 +122,24 @@ def command(
     afterwards: Callable[[Any], int] | None = None,
     settings: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """Let Hydra compose the configuration from the command line and call `task`; exit by its end.
+    """Compose the configuration from the command line with Hydra, call `task`, and exit.
 
     Parameters
     ----------
     task
-        Does one composed configuration.
+        Runs one composed configuration.
     config_name
-        The file of conf/ that is composed, unless --config-name names another.
+        The file of conf/ to compose, unless --config-name names another.
     pool
-        Whether `hydra/launcher=pool` may do the jobs of a sweep.
+        Whether `hydra/launcher=pool` may run the jobs of a sweep.
     afterwards
-        Called with the `Sweep` that the pool has done; gives the exit code.
+        Called with the finished `Sweep` of the pool; returns the exit code.
     settings
-        The command's own settings and their meanings, for its help.
+        The settings of the command and their meanings, for its help.
     """
     schema.register()
     job = Job(task, pool=pool)
-    # Hydra raises its errors instead of printing them, and run_and_exit prints them in one line.
+    # With this, Hydra raises its errors, and run_and_exit prints them in one line.
     os.environ["HYDRA_FULL_ERROR"] = "1"
 
     def run() -> int:
@@ -155,7 +154,7 @@ def command(
             return OK
         for folder in folders[1:]:
             if not folder.is_dir():
-                raise ConfigError(f"--config-dir: {folder} is not a folder; name one that is")
+                raise ConfigError(f"--config-dir: {folder} is not a folder; check the path")
             check_folder(folder)
         if not completes:
             check_typed(overrides)
@@ -178,7 +177,7 @@ def command(
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The options for Hydra, with their values, and the overrides."""
+    """Split arguments into the options of Hydra, with their values, and the overrides."""
     options: list[str] = []
     overrides: list[str] = []
     is_value = False
@@ -192,7 +191,7 @@ def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _values(options: Sequence[str], *names: str) -> list[str]:
-    """The values of an option, given as `--name VALUE` or `--name=VALUE`."""
+    """Values of an option, given as `--name VALUE` or `--name=VALUE`."""
     values = []
     for text, following in zip(options, [*options, ""][1:], strict=True):
         name, equals, value = text.partition("=")
@@ -202,11 +201,11 @@ def _values(options: Sequence[str], *names: str) -> list[str]:
 
 
 def run_and_exit(job: Callable[[], int | None]) -> NoReturn:
-    """Run `job` and exit with the code that it returns, or with the one that fits what it raises.
+    """Run `job` and exit with its exit code, or with the exit code of the error that it raises.
 
-    That is printed in one line. SIGTERM stops it like Ctrl-C, and so does a terminal that closes:
-    what was found is kept. An interrupt that no signal sent, or what else only a model of the
-    user's raises, is a failed run.
+    An error is printed in one line. SIGTERM and a closed terminal stop the job like Ctrl-C, and the
+    best results so far are kept. A KeyboardInterrupt without a signal, or another exception that
+    only the user's model can raise, is a failed run.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets escapes
@@ -218,7 +217,7 @@ def run_and_exit(job: Callable[[], int | None]) -> NoReturn:
             code = _say(error, BAD_INPUT)
         except DamagedRun as error:
             code = _say(error, BAD_INPUT)
-        except BrokenPipeError:  # whoever read our output has seen enough
+        except BrokenPipeError:  # the reader of the output has closed the pipe
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             code = PIPE_CLOSED
         except OSError as error:
@@ -248,7 +247,7 @@ def run_and_exit(job: Callable[[], int | None]) -> NoReturn:
 
 
 def _place(error: BaseException) -> str:
-    """The file and line that raised an error."""
+    """File and line that raised an error."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{last.filename}:{last.lineno}"
 

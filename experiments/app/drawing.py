@@ -1,4 +1,4 @@
-"""Figures of the paper, and what an arena shows, drawn from the runs that a root holds."""
+"""Figures of the paper and of an arena, drawn from the runs of a root."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from miho.study.provenance import IDENTITY, command_line, write_provenance
 
 TIRES = ("lf", "rf", "lr", "rr")
 HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])
-"""From the curve (B, C, D, Sx, Sy) of an axle to that of either of two equal tires."""
+"""Factors from the curve (B, C, D, Sx, Sy) of an axle to the curve of one of two equal tires."""
 CAPTIONS = {
     "results": "Evaluations and seconds are medians over repetitions; never: half of them or more "
     "did not get there. Success: share of runs within 1 % of the best error.",
@@ -41,7 +41,7 @@ CAPTIONS = {
 
 
 def read_comparison(root: Path) -> Comparison:
-    """The last arena below `root`; raises ConfigError if it is not there or not whole."""
+    """Read the last arena below `root`; raise ConfigError if it is missing or incomplete."""
     stored = load_runs(root)
     comparison = Comparison.of(stored.runs, stored.curves, root)
     if comparison is None:
@@ -57,9 +57,9 @@ def read_comparison(root: Path) -> Comparison:
 
 
 def draw_arena(root: Path, output: Path) -> list[Path]:
-    """All tables and figures of the last arena below `root`; tables are printed.
+    """Draw all tables and figures of the last arena below `root`, and print the tables.
 
-    Raises ConfigError where it is too small for its tests.
+    Raises ConfigError if the arena is too small for its tests.
     """
     comparison = read_comparison(root)
     try:
@@ -80,11 +80,11 @@ def draw_comparison(
     ids: Collection[str] | None = None,
     command: Sequence[str] = (),
 ) -> list[Path]:
-    """Fig. 6, the results table, the table of the paper's claims, and their provenance.
+    """Draw Fig. 6, the results table, the table of the paper's claims, and their provenance.
 
-    Drawn are the runs on the one problem of a root, or on `problem`: those with these `ids`, of
-    these `methods`, by default all. `command` are the words that made them, by default those of the
-    root's sweeps. The claims are about MIHO on a tire: without either there is no table of them.
+    The runs are on the only problem of a root, or on `problem`; `ids` and `methods` select some of
+    them. `command` is the command that made them, by default the sweeps of the root. The claims are
+    about MIHO on a tire; their table is left out without MIHO or without a tire.
     """
     if message := missing_runs(root):
         print(message, file=sys.stderr)
@@ -108,15 +108,15 @@ def compared(
     problem: str | None = None,
     ids: Collection[str] | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The runs and curves of a root that one figure compares, as of `draw_comparison`.
+    """Runs and curves of a root that one figure compares, selected as in `draw_comparison`.
 
-    Raises ConfigError where they are not of one problem, or of one method only.
+    Raises ConfigError if they are on several problems, or of one method only.
     """
     stored = load_runs(root)
     runs = stored.runs if ids is None else stored.runs[stored.runs["id"].isin(ids)]
     problems = sorted(map(str, runs["problem"].unique()))
     if problem is not None and problem not in problems:
-        raise ConfigError(f"problem: is {problem}, of which {root} has no runs; {_of(problems)}")
+        raise ConfigError(f"problem: is {problem}, but {root} has no runs on it; {_of(problems)}")
     if problem is None and len(problems) != 1:
         choose = f"add problem=NAME, {_of(problems)}" if problems else "run something first"
         raise ConfigError(f"{root}: holds runs on {len(problems)} problems; {choose}")
@@ -130,7 +130,7 @@ def compared(
     names = named_apart(runs, of_problem=())["optimizer"].unique()
     if len(names) < 2:
         raise ConfigError(
-            f"{root}: holds runs of {', '.join(names)} alone; a comparison needs a second method "
+            f"{root}: holds only runs of {', '.join(names)}; a comparison needs a second method "
             f"or setting, such as python -m experiments.identify -m optimizer=... root={root}"
         )
     curves = stored.curves
@@ -142,9 +142,9 @@ def _of(names: Sequence[str]) -> str:
 
 
 def _made_by(root: Path, runs: pd.DataFrame) -> Sequence[str]:
-    """What made these runs: a comparison of just them, the sweeps of the root, or else nothing.
+    """Command that made these runs: a comparison of exactly them, or the sweeps of the root.
 
-    Where nothing is known of that, the command that draws them.
+    If neither is recorded, the command that draws them.
     """
     declared = Comparison.of(runs, runs, root)
     if declared is not None and len(declared.runs) == len(runs):
@@ -157,9 +157,9 @@ def _made_by(root: Path, runs: pd.DataFrame) -> Sequence[str]:
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
-    """Fig. 4: the best run of `optimizer` on each of the four tires; the verdict is printed.
+    """Draw Fig. 4: the best run of `optimizer` on each of the four tires; print the verdict.
 
-    The right panel is the front axle that the tires' curves make, over a drive.
+    The right panel shows the front axle with the curves of its tires, over a drive.
     """
     runs = _best_runs(root, "pacejka", [f"tire_{tire}" for tire in TIRES], optimizer)
     samples, curves, errors = {}, {}, {}
@@ -181,7 +181,7 @@ def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
 
 
 def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
-    """Fig. 4, right, of a log: the best run of `optimizer` on its first part, over the rest."""
+    """Draw Fig. 4 (right) of a log: the best run of `optimizer` on its first part, on the rest."""
     learned = _axle_run(root, optimizer)
     config = learned.config["dataset"]
     later = {**config, "start": config["end"], "end": None}
@@ -200,7 +200,7 @@ def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
 
 
 def _axle_run(root: Path, optimizer: str) -> StoredRun:
-    """The best run on an axle in a log of which the end was left out."""
+    """Best run on an axle of a log whose last part was not used."""
     runs = load_runs(root).runs
     on_axle = runs["problem"].str.fullmatch(r"pacejka-.*_(front|rear)_axle")
     for folder in runs[on_axle & (runs["optimizer"] == optimizer)].sort_values("error")["folder"]:
@@ -224,7 +224,7 @@ def _axle_curve(axle: Axle, data: Dataset, identified_alpha: np.ndarray) -> Axle
 
 
 def draw_engine(root: Path, output: Path, optimizer: str) -> list[Path]:
-    """Fig. 5: the torque curves of the best runs of `optimizer`, and the map they go into."""
+    """Draw Fig. 5: the torque curves of the best runs of `optimizer`, and their engine map."""
     runs = _best_runs(root, "torquecubic", list(DATASETS.values()), optimizer)
     problems = dict(zip(DATASETS, map(rebuild, runs), strict=True))
     thetas = {
@@ -236,7 +236,7 @@ def draw_engine(root: Path, output: Path, optimizer: str) -> list[Path]:
 
 
 def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) -> list[StoredRun]:
-    """The best run of `optimizer` on each dataset, in order."""
+    """Best run of `optimizer` on each dataset, in order."""
     all_runs = load_runs(root).runs
     best = []
     for dataset in datasets:
@@ -254,7 +254,7 @@ def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) 
 def _write_origin(
     path: Path, stored: Sequence[StoredRun], more: Mapping[str, Any] | None = None
 ) -> Path:
-    """What regenerates a figure of single runs, what they ran on, and more facts about it."""
+    """Write the provenance of a figure of single runs: its command, the runs' data, and facts."""
     runs = {"runs": [{key: run.result[key] for key in IDENTITY} for run in stored]}
     return write_provenance(
         path, command_line("experiments.figures"), stored, runs | dict(more or {})

@@ -1,4 +1,4 @@
-"""One run, done unless it is stored, and its outcome in a line."""
+"""Execution of one run, unless it is stored, and its result in one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from miho.study import Execution, Identity, Status, Store, execute
 
 
 def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
-    """Do one run, unless it is stored; with a progress bar, unless `quiet`."""
+    """Execute one run, unless it is stored, with a progress bar unless `quiet`."""
     identity = experiment.identity
     title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
 
@@ -69,22 +69,22 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
 
 
 def line_of(identity: Identity, execution: Execution) -> str:
-    """One line: which run, its error and what it spent, or why there is none."""
+    """One line with the run, its error and its cost, or the reason why it has no result."""
     if execution.run is not None:
         return result_line(identity, execution.run.result, execution.status)
     last = (execution.error or "").strip().splitlines()[-1:]
-    again = f"; the next call starts it again (best so far in {execution.partial})"
+    again = f"; the next call repeats it (best result so far in {execution.partial})"
     ending = ": ".join([str(execution.status), *last]) + again * bool(execution.partial)
     return f"{identity.problem} {identity.optimizer} seed {identity.seed}: {ending}"
 
 
 def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
-    """One line: which run, its error and what it spent."""
+    """One line with the run, its error and its cost."""
     error = "no finite value" if result["rejected"] else "no value on all rows of data"
     if result["loss"] is not None:
         error = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
     outside = result.get("outside", 0)
-    remark = f", at least {outside:,} of them outside of the box" if outside else ""
+    remark = f", at least {outside:,} of them outside the box" if outside else ""
     usage = Usage(**(result.get("usage") or {"workers": 1}))
     ending = f"({status})" + (f"; {usage}" if usage.workers > 1 else "")
     return (
@@ -94,6 +94,6 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
 
 
 def result_error(result: Mapping[str, Any] | None) -> float | None:
-    """The root of the loss, in the problem's unit; None without one."""
+    """Root of the loss, in the unit of the problem; None without a result."""
     loss = None if result is None else result["loss"]
     return None if loss is None else math.sqrt(loss)

@@ -1,4 +1,4 @@
-"""What is wrong with a command line or a configuration, in one line with a remedy."""
+"""Error messages on command lines and configurations, in one line with a remedy."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ EXTRAS = {
     "hydra/job_logging": ("colorlog",),
     "hydra/hydra_logging": ("colorlog",),
 }
-"""Options of Hydra's groups that come with the plugins of the extra `launchers`."""
+"""Options of Hydra's groups that the plugins of the extra `launchers` provide."""
 
 
 class ConfigError(ValueError):
-    """One line naming the key, what is wrong with it and what is allowed."""
+    """Bad configuration; the message is one line with the key, the fault and the allowed values."""
 
 
 def unknown_message(key: str, allowed: Iterable[object]) -> str:
-    """The message on a key or choice that does not exist: the closest one, and all allowed."""
+    """Message on an unknown key or choice, with the closest name and all allowed names."""
     names = [str(name) for name in allowed if name not in HIDDEN]
     last = key.rpartition("=" if "=" in key else ".")[2]
     close = difflib.get_close_matches(last, names, n=1)
@@ -51,7 +51,7 @@ def unknown_message(key: str, allowed: Iterable[object]) -> str:
 
 
 def parse_overrides(texts: Sequence[str]) -> list[Override]:
-    """The overrides of a command line; raises ConfigError for one that cannot be read."""
+    """Parse the overrides of a command line; raise ConfigError if one cannot be read."""
     parser = OverridesParser.create()
     overrides = []
     for text in texts:
@@ -72,15 +72,17 @@ def check_choices(texts: Sequence[str]) -> None:
             continue
         options = options_of(key)
         if options and value is None:
-            raise ConfigError(f"{key}=null: is no choice; ~{key} leaves it out")
+            raise ConfigError(f"{key}=null: is not an option; ~{key} removes the group")
         if options:
             raise ConfigError(unknown_message(f"{key}={value}", options))
 
 
 def replace_spaces(texts: Sequence[str]) -> list[str]:
-    """The overrides with `space={...}` meaning that space and nothing of the chosen one, and with
-    `+space.NAME=...`, `problem.parts.NAME=...` and `hydra.sweeper.params.KEY=...` as what adds to
-    the chosen ones."""
+    """Rewrite overrides for Hydra.
+
+    `space={...}` replaces the whole space. `+space.NAME=...`, `problem.parts.NAME=...` and
+    `hydra.sweeper.params.KEY=...` add to the composed node.
+    """
     whole: list[str] = []
     for text, override in zip(texts, parse_overrides(texts), strict=True):
         key, _, value = text.partition("=")
@@ -106,10 +108,10 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
 
 def _unreadable(text: str) -> str:
     if text.endswith(","):
-        return f"{text}: ends with a comma; remove it, or give a further value"
+        return f"{text}: ends with a comma; remove it, or add a value"
     if "=" not in text:
-        return f"{text}: is no setting; write KEY=VALUE, such as seed=1 or optimizer=miho"
-    quoted = "quote the whole override for the shell, and inside it what is no plain word, as in "
+        return f"{text}: is not a setting; write KEY=VALUE, such as seed=1 or optimizer=miho"
+    quoted = "quote the whole override, and in it quote names with other characters, as in "
     example = """'dataset.headers=["m/s^2", "Schräglauf"]'"""
     if "{" in text and not text.isascii():
         example += "; names before a colon cannot be quoted: put those into a file for --config-dir"
@@ -117,9 +119,9 @@ def _unreadable(text: str) -> str:
 
 
 def composition_message(error: Exception, texts: Sequence[str]) -> str:
-    """The message on a failed composition, from fields of Hydra's error rather than its text.
+    """Message on a failed composition, from the fields of Hydra's error rather than its text.
 
-    texts: the overrides that were composed.
+    `texts` are the composed overrides.
     """
     cause = error.__cause__
     if isinstance(error, OverrideParseException):
@@ -145,7 +147,7 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
 
 
 def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str:
-    """The message on an option that no folder holds: of an extra, or misspelt."""
+    """Message on an option that does not exist: it belongs to an extra, or is misspelt."""
     group, _, name = str(error.missing_cfg_file).rpartition("/")
     chosen = any(text.lstrip("+").startswith(f"{group}=") for text in texts)
     place = "" if chosen else f"{str(error).partition(':')[0]}: "  # the file that chooses it
@@ -155,7 +157,7 @@ def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str
 
 
 def _having(key: str) -> str:
-    """The options of its group that have a setting which the chosen one lacks."""
+    """Options of the group that have a setting which the chosen option lacks."""
     group, _, setting = key.partition(".")
     line = re.compile(rf"^\s*{re.escape(setting)}:", re.MULTILINE)
     names = options_of(group) if setting else []
@@ -164,7 +166,7 @@ def _having(key: str) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an error in one line, the file first if it is about one."""
+    """Message of an error in one line; it begins with the file if the error names one."""
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"{error.filename}: {error.strerror}"
     lines = (line.strip() for line in str(error).splitlines())

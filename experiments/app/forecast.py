@@ -1,4 +1,4 @@
-"""Before a search of a user's own data: what was read of the file, and how long it will take."""
+"""Before a search on the user's data: a preview of the file, and a forecast of the run time."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from miho.optim import Budget
 from miho.study import Store
 
 LONG = 60.0
-"""Seconds from which on fewer rows are worth a thought."""
+"""Run time [s] above which the forecast suggests fewer rows."""
 ENOUGH, MOST_CALLS = 0.05, 20
 
 
 def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
-    """Print a preview and a forecast on stderr, if data come from a file and the run is not done.
+    """Print a preview and a forecast on stderr, if data come from a file and the run is not stored.
 
-    dataset: its settings. A function or program of the user's is not timed: it may be dear.
+    `dataset` has the settings of the dataset. A function or program of the user is not timed,
+    because it may be expensive.
     """
     problem = experiment.problem
     preview_text = preview(problem.dataset)
@@ -38,7 +39,7 @@ def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
 
 
 def seconds_of_evaluation(problem: CurveFit) -> float:
-    """Seconds that one evaluation of the loss takes, the fastest of some."""
+    """Seconds of one evaluation of the loss, the fastest of several, after compilation."""
     thetas = problem.space.decode(problem.space.initial(1))
     problem.loss(thetas)
     best, started = float("inf"), time.perf_counter()
@@ -53,9 +54,9 @@ def seconds_of_evaluation(problem: CurveFit) -> float:
 
 
 def forecast(seconds: float, budget: Budget, rows: int, dataset: Mapping[str, Any]) -> str:
-    """How long the budget lasts at so many seconds an evaluation, and what shortens a long search.
+    """Forecast of the run time within the budget, and advice on how to shorten a long search.
 
-    That is the most a run takes, besides its method's own computations: one that ends by itself may
+    The run time is an upper limit without the computations of the method; a run that converges may
     take far less.
     """
     cost = f"{rows:,} rows, {_short(seconds)} an evaluation"

@@ -1,9 +1,8 @@
-"""Objects from their descriptions: the one place that instantiates targets.
+"""Instantiation of configured objects; no other module instantiates targets.
 
-A configuration can name only public classes and functions of our own packages, so no file that it
-comes with can run other code. There is one door: `miho.models.load_function`, `load_trajectory` and
-`FmuModel` run the file that `model.path` names, which a user chooses on the command line or in a
-YAML of their own.
+A configuration can name only public classes and functions of our packages, so it cannot run other
+code. The exceptions are `miho.models.load_function`, `load_trajectory` and `FmuModel`: they run the
+file that `model.path` names, which the user chooses on the command line or in a YAML file.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
 
 T = TypeVar("T")
 MISSING = "???"
-"""What Hydra leaves where a choice must be made."""
+"""Value of a mandatory setting that was not given."""
 
 guard_environment()
 
 
 class MissingLibraryError(ConfigError):
-    """A configured part needs a library that is not installed; the message names its extra."""
+    """A configured object needs a library that is not installed; the message names the extra."""
 
 
 def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
-    """The object that `node` describes.
+    """Instantiate the object that `node` describes.
 
-    Its target must be one of those that `safety.find_target` allows for a `kind`, and know every
-    setting; all that is checked before anything is imported or called. Hydra's own `instantiate`
-    is not used: it runs any target.
+    `safety.find_target` must allow the target for this `kind`, and the target must accept all
+    settings; both are checked before a target is imported or called. Hydra's `instantiate` is not
+    used, because it runs any target.
     """
     target = _target(node.get("_target_"), key, kind)
     allowed = inspect.signature(target).parameters
@@ -50,7 +49,7 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
             raise ConfigError(unknown_message(f"{key}.{name}", allowed))
         inner = nested_target(value, f"{key}.{name}")
         if inner:
-            raise ConfigError(f"{inner}: a target cannot stand inside of a setting; remove it")
+            raise ConfigError(f"{inner}: a target is not allowed inside a setting; remove it")
         settings[name] = _checked_value(value, allowed[name].annotation, f"{key}.{name}")
     try:
         built = target(**settings)
@@ -77,7 +76,7 @@ def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
 
 
 def _checked_value(value: Any, annotation: Any, key: str) -> Any:
-    """The value, if it has the plain type that the signature declares."""
+    """The value, converted to the plain type that the signature declares; else ConfigError."""
     if value == MISSING:
         raise ConfigError(f"{key}: is missing; give it on the command line as {key}=...")
     kind = PLAIN.get(annotation if isinstance(annotation, str) else annotation.__name__)
@@ -91,7 +90,7 @@ def _checked_value(value: Any, annotation: Any, key: str) -> Any:
 
 
 def part_of(setting: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """A copy of one part of a plain setting, checked to be a mapping without a secret."""
+    """Copy of one node of a plain setting, checked to be a mapping without a secret."""
     node = setting[key]
     if node == MISSING:
         raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
@@ -102,7 +101,7 @@ def part_of(setting: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def without_secret(value: Any, key: str) -> None:
-    """Refuse a value that holds a secret."""
+    """Raise ConfigError if a value contains a secret."""
     try:
         check_no_secret(value, key)
     except SecretError as error:

@@ -1,7 +1,7 @@
-"""The launcher `pool`: plans the runs of a multirun, does them, and returns their errors.
+"""The launcher `pool`: plans the runs of a multirun, executes them, and returns their errors.
 
-Jobs that differ by their seed alone share one composition, because composing takes a tenth of a
-second, and are planned together.
+Jobs that differ only in their seed are planned together and share one composition, because a
+composition takes a tenth of a second.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from experiments.app.working import State
 from miho.study import Store
 
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
-"""Keys that say how to go through the runs, or which repetition, but not what they are."""
+"""Keys of the seed and of the execution, which do not describe the setting of a run."""
 
 
 @dataclass
 class Sweep:
-    """The runs of a multirun so far, with its configuration and the overrides that were typed."""
+    """The runs of a multirun so far, with its configuration and the typed overrides."""
 
     cfg: DictConfig
     typed: Sequence[str]
@@ -39,13 +39,13 @@ class Sweep:
     states: list[State] = field(default_factory=list)
 
     def summed_up(self) -> int:
-        """Print what became of the runs; gives the exit code."""
+        """Print a summary of the runs; return the exit code."""
         return print_summary(self.states) if self.states else OK
 
 
 @dataclass(frozen=True)
 class _Job:
-    """One job of Hydra's: its number, its overrides without the seed, and the seed."""
+    """One job of Hydra: its number, its overrides, its overrides without the seed, and the seed."""
 
     number: int
     overrides: tuple[str, ...]
@@ -61,20 +61,20 @@ def launch(
     config: DictConfig,
     settings: Mapping[str, Any],
 ) -> list[JobReturn]:
-    """Do the runs of a batch of jobs that are not done; the error of each, NaN without a result.
+    """Execute the unfinished runs of a batch of jobs; return their errors, NaN without a result.
 
-    A run that fails or is lost ends no other and is no exception: the sweep prints it, and its exit
-    code says so. Raises ConfigError before anything begins if a job cannot be built, and the
+    A run that fails or is lost stops no other run and raises no exception: the sweep prints it and
+    sets the exit code. Raises ConfigError before the first run if a job cannot be built, and the
     interrupt if a signal ended the batch.
     """
     if not isinstance(task, Job) or not task.pool:
         raise ConfigError(
-            "hydra/launcher=pool: does the runs of experiments.identify and experiments.compare; "
+            "hydra/launcher=pool: works only with experiments.identify and experiments.compare; "
             "choose hydra/launcher=basic here"
         )
     jobs = [_job(number, texts) for number, texts in enumerate(job_overrides, first)]
     if not jobs:
-        raise ConfigError("-m: has no values to sweep over, so there is nothing to do")
+        raise ConfigError("-m: has no values to sweep over; give some, such as seed=0,1")
     if task.sweep is None:
         cfg = job_config(_copied(config), config.hydra.runtime.choices)
         task.sweep = Sweep(cfg, _typed(config))
@@ -109,7 +109,7 @@ def _job(number: int, texts: Sequence[str]) -> _Job:
 def _composed(
     jobs: Sequence[_Job], context: HydraContext, config: DictConfig
 ) -> dict[tuple[str, ...], DictConfig]:
-    """The configuration of each setting, with the node `hydra`, the last job's first."""
+    """Configuration of each setting, with the node `hydra`, the setting of the last job first."""
     settings = dict.fromkeys(job.setting for job in reversed(jobs))
     compose = context.config_loader.load_sweep_config
     return {setting: compose(config, list(setting)) for setting in settings}
@@ -120,9 +120,9 @@ def _planned(
     composed: Mapping[tuple[str, ...], DictConfig],
     time_limit: float | None,
 ) -> list[Request]:
-    """The runs in the order of the jobs, planned setting by setting.
+    """Plan the runs setting by setting; return them in the order of the jobs.
 
-    Of several settings, those are lost alone whose model cannot be built.
+    If there are several settings and the model of one cannot be built, only its runs are lost.
     """
     planned: dict[int, Request] = {}
 
@@ -137,7 +137,7 @@ def _planned(
     for setting, config in composed.items():
         plan(setting, config, lose=len(composed) > 1)
     if len(composed) > 1 and all(request.lost for request in planned.values()):
-        plan(*next(iter(composed.items())), lose=False)  # which says what they have in common
+        plan(*next(iter(composed.items())), lose=False)  # raises the error that they share
     return [planned[job.number] for job in jobs]
 
 
@@ -147,17 +147,17 @@ def _copied(config: DictConfig) -> DictConfig:
 
 
 def _is_of(text: str, keys: Sequence[str]) -> bool:
-    """Whether an override, such as sweep.workers=2, is of one of these keys or below one."""
+    """Whether the key of an override, such as sweep.workers=2, is one of these or below one."""
     return text.lstrip("+~").partition("=")[0].partition(".")[0].partition("/")[0] in keys
 
 
 def _typed(config: DictConfig) -> list[str]:
-    """The overrides of the whole multirun, for its record in the root."""
+    """Overrides of the whole multirun, for its record in the root."""
     return [text for text in config.hydra.overrides.task if not _is_of(text, ("fresh", "sweep"))]
 
 
 def set_aside_disturbed(plan: Sequence[Request]) -> None:
-    """Make room for runs on a quieter machine: finished ones whose seconds count are kept."""
+    """Set aside the finished runs whose seconds are not valid, so that they are repeated."""
     for request in plan:
         store = Store(Path(request.root))
         stored = store.find(request.identity)
@@ -171,7 +171,7 @@ def _announce(
     context: HydraContext,
     task: TaskFunction,
 ) -> None:
-    """Write each job's `.hydra` folder, and call Hydra's callbacks at its start."""
+    """Write the `.hydra` folder of each job, and call Hydra's callbacks for its start."""
     for job in jobs:
         config = _of_job(job, composed[job.setting])
         subdir = config.hydra.output_subdir
@@ -184,14 +184,14 @@ def _announce(
 
 
 def _texts(config: DictConfig) -> Iterator[tuple[str, str]]:
-    """The files that Hydra leaves of each job, by their names."""
+    """Names and texts of the files that Hydra writes for each job."""
     yield "config.yaml", OmegaConf.to_yaml(_copied(config))
     yield "hydra.yaml", OmegaConf.to_yaml(OmegaConf.masked_copy(config, ["hydra"]))
     yield "overrides.yaml", OmegaConf.to_yaml(config.hydra.overrides.task)
 
 
 def _of_job(job: _Job, config: DictConfig) -> DictConfig:
-    """The configuration of a job's setting, as that job has it until the next one is asked for."""
+    """Configuration of a job; the next call for the same setting changes it."""
     with open_dict(config):
         if job.seed is not None:
             config.seed = job.seed
@@ -211,7 +211,7 @@ def _of_job(job: _Job, config: DictConfig) -> DictConfig:
 def _returned(
     job: _Job, error: float | None, config: DictConfig, context: HydraContext
 ) -> JobReturn:
-    """What Hydra's sweepers and callbacks get of a job."""
+    """Result of a job for the sweepers and callbacks of Hydra."""
     returned = JobReturn(
         overrides=list(job.overrides),
         task_name=config.hydra.job.name,

@@ -1,4 +1,4 @@
-"""A plan: the requested runs, each a configuration with a seed, and their identities."""
+"""Plan of a sweep: the requested runs (a configuration and a seed each) and their identities."""
 
 from __future__ import annotations
 
@@ -34,15 +34,16 @@ PROBLEM = ("model", "dataset", "space", "loss", "problem")
 NAMELESS = "model"
 POLL = 0.2
 MODULES = ("experiments.app.runs",)
-"""What a worker process imports before its first run."""
+"""Modules that a worker process imports before its first run."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """One requested run: in the user's words, as a configuration in JSON, and its identity.
+    """One requested run: its overrides, its configuration in JSON, and its identity.
 
-    `own_code`: its model is code of the user's. `lost`: why it cannot even begin. `experiment`:
-    what was built of it, where it is to be done in this process.
+    `own_code`: the model is the user's code. `lost`: the reason why the run cannot start.
+    `compile_only`: only compile the code that the run needs. `experiment`: the objects of the run,
+    if this process executes it.
     """
 
     words: str
@@ -55,7 +56,7 @@ class Request:
 
 
 def request_of(experiment: Experiment, cfg: Settings, words: str = "") -> Request:
-    """The run that was built of a configuration, to be done in this process."""
+    """Request of a run that is built already and that this process executes."""
     root = str(experiment.root)
     return Request(words, _text(plain(cfg)), experiment.identity, root, experiment=experiment)
 
@@ -68,10 +69,10 @@ def requests(
     *,
     lose: bool = False,
 ) -> list[Request]:
-    """The runs of one configuration with several seeds; raises ConfigError for a bad one.
+    """Requests of one configuration with several seeds; raises ConfigError for bad input.
 
-    A model of the user's is tried in a process of its own, within the time limit of a run: what
-    ends that process loses these runs alone. So does one that cannot be built, if `lose` is true.
+    The user's model is tried in a separate process within the time limit of a run. If that process
+    ends, or if `lose` is true and the model cannot be built, only these runs are lost.
     """
     for seed in seeds:
         if seed < 0:
@@ -96,7 +97,7 @@ def requests(
 
 
 def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
-    """The checked settings of `sweep`; raises ConfigError."""
+    """Checked settings of `sweep`; raises ConfigError."""
     settings = SweepConfig(**{str(key): value for key, value in given.items()})
     former, workers = settings.processes, settings.workers
     if former is not None:
@@ -132,14 +133,14 @@ def _text(setting: Mapping[str, Any]) -> str:
 
 @lru_cache(maxsize=32)
 def setting_of(text: str) -> Mapping[str, Any]:
-    """A configuration from its JSON; not to be changed."""
+    """Configuration from its JSON text; callers must not change it."""
     setting: Mapping[str, Any] = json.loads(text)
     return setting
 
 
 @lru_cache(maxsize=32)
 def experiment_of(text: str) -> Experiment:
-    """What all seeds of a configuration share; building it takes longer than a small run."""
+    """Objects that all seeds of a configuration share, built once."""
     setting = setting_of(text)
     if runs_own_code(setting):
         return build(setting, build_problem(setting, dataset_of(text)))
@@ -147,7 +148,7 @@ def experiment_of(text: str) -> Experiment:
 
 
 def problem_of(setting: Mapping[str, Any]) -> CurveFit:
-    """The problem of a configuration, which all methods share."""
+    """Problem of a configuration, which all methods share."""
     return _problem(json.dumps({key: setting[key] for key in PROBLEM}))
 
 
@@ -158,18 +159,18 @@ def _problem(text: str) -> CurveFit:
 
 @lru_cache(maxsize=2)
 def dataset_of(text: str) -> Dataset | None:
-    """The data of a configuration in JSON; None of several parts, which are read with them."""
+    """Data of a configuration in JSON; None for a joint problem, whose parts read their data."""
     setting = setting_of(text)
     return None if setting["problem"]["parts"] else build_dataset(setting["dataset"])
 
 
 @cache
 def _try_in_worker(text: str, code: str, time_limit: float | None) -> tuple[Identity, str | None]:
-    """The identity of a run of the user's model, built in a worker within the time limit.
+    """Identity of a run of the user's model, built in a worker within the time limit.
 
-    Where that ends the worker, the identity of `_named_only`, and the reason. `code` is that of the
-    model, so that the cached answer is not used after an edit. Raises ConfigError for what the user
-    can correct.
+    If the worker ends, return the identity of `_named_only` and the reason. `code` is the digest of
+    the model's code, so that an edit invalidates the cached result. Raises ConfigError for faults
+    that the user can correct.
     """
     with Workers(_identity, 1, time_limit, MODULES, alone=bool) as workers:
         workers.start(text)
@@ -185,7 +186,7 @@ def _try_in_worker(text: str, code: str, time_limit: float | None) -> tuple[Iden
 
 
 def _identity(text: str) -> Identity | str:
-    """In a worker: the identity of a run of this configuration, or what is wrong with it."""
+    """In a worker: the identity of a run of this configuration, or an error message."""
     try:
         return build(setting_of(text)).identity
     except Exception as error:  # noqa: BLE001 -- whatever the user's file raises, they can correct
@@ -193,13 +194,13 @@ def _identity(text: str) -> Identity | str:
 
 
 def _code_of(setting: Mapping[str, Any]) -> str:
-    """SHA-256 of the model's files; of nothing if there is none."""
+    """SHA-256 of the files of the model; of the empty string if there is no file."""
     paths = map(Path, model_files(setting))
     return sha256(b"".join(path.read_bytes() for path in paths if path.is_file()))
 
 
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
-    """The identity of a run whose model cannot be built: the file's name stands for the model's."""
+    """Identity of a run whose model cannot be built, with the name of the file as model name."""
     optimizer = method_of(setting)
     config = {key: value for key, value in setting.items() if key not in MEANS}
     about: dict[str, Any] = {
@@ -211,5 +212,5 @@ def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
     }
     try:
         return Identity(Path(model_files(setting)[0]).stem, **about)
-    except ValueError:  # a name that no folder can have
+    except ValueError:  # the name cannot be a folder
         return Identity(NAMELESS, **about)

@@ -1,9 +1,9 @@
-"""Checks of configurations before they act.
+"""Checks of configurations before they are used.
 
-A model, dataset, loss or method names its target: allowed are the public classes and functions of
-our own packages, so that a stored result or a received experiment runs no other code. A file of
-YAML can stand for more than any memory holds. A stored run must hold no secret. Settings of Hydra
-itself, such as callbacks and launchers, are the user's own: they come from the command line, from
+A model, dataset, loss or method names its target. Only public classes and functions of our packages
+are allowed, so a stored result or a received experiment cannot run other code. The size of YAML
+files is limited, because aliases can expand beyond any memory. A stored run must not contain a
+secret. Settings of Hydra, such as callbacks and launchers, come only from the command line, from
 conf/ or from --config-dir, and never from a stored result.
 """
 
@@ -43,7 +43,7 @@ HOMES: Mapping[type, tuple[ModuleType, ...]] = {
     Loss: (miho.identification,),
     Optimizer: (miho.optim, miho.methods),
 }
-"""Where targets of each kind come from: what `__all__` of these packages names."""
+"""Packages whose `__all__` lists the targets of each kind."""
 
 METHODS = Path(baselines.__file__).parent
 LIBRARY_METHODS = miho.methods.__name__
@@ -52,16 +52,15 @@ LONGEST_SHOWN = 80
 
 
 class TargetError(ValueError):
-    """What is wrong with a target and which are allowed, in one line."""
+    """Bad target; the message is one line with the fault and the allowed targets."""
 
 
 def find_target(path: object, kind: type[T]) -> Callable[..., T]:
-    """The class or function at a dotted path that makes a `kind`.
+    """Class or function at a dotted path that makes a `kind`.
 
-    Allowed are the public names of our packages and the methods in `baselines`, those that it has
-    from `miho.methods` included, found by reading their source; only what is allowed is imported.
-    Raises TargetError for any other path, and ImportError where the library that a method wraps is
-    missing.
+    Allowed are the public names of our packages and the methods in `baselines`, including the names
+    from `miho.methods`; the source is read, and only an allowed target is imported. Raises
+    TargetError for other paths, and ImportError if the library that a method wraps is missing.
     """
     home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
     for package in HOMES[kind]:
@@ -77,7 +76,7 @@ def find_target(path: object, kind: type[T]) -> Callable[..., T]:
 
 
 def allowed(kind: type) -> list[str]:
-    """Every dotted path that a configuration may name for this kind."""
+    """All dotted paths that a configuration may name for this kind."""
     names = [f"{home.__name__}.{name}" for home in HOMES[kind] for name in _public(home, kind)]
     if kind is Optimizer:
         for file in sorted(METHODS.glob("*.py")):
@@ -86,7 +85,7 @@ def allowed(kind: type) -> list[str]:
 
 
 def nested_target(value: Any, place: str) -> str | None:
-    """The key path of a target inside of a setting, where none belongs; None if there is none."""
+    """Key path of a target inside a setting, where targets are not allowed; None without one."""
     if isinstance(value, Mapping):
         if "_target_" in value:
             return f"{place}._target_"
@@ -112,7 +111,7 @@ def _gives(member: Any, kind: type) -> bool:
 
 
 def _methods(module: str) -> list[str]:
-    """The methods in one module of `baselines`, read from its source and not imported."""
+    """Names of the methods in a module of `baselines`, from its source without importing it."""
     file = METHODS / f"{module}.py"
     if not (module.isascii() and module.isidentifier() and file.is_file()):
         return []
@@ -126,7 +125,7 @@ def _methods(module: str) -> list[str]:
 
 
 def _base(node: ast.expr) -> str:
-    """The bare name of a base class: `AskTell` of `AskTell[State]` or `miho.AskTell`."""
+    """Bare name of a base class: `AskTell` for `AskTell[State]` or `miho.AskTell`."""
     if isinstance(node, ast.Subscript):
         return _base(node.value)
     return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
@@ -138,30 +137,30 @@ def _shortened(path: object) -> str:
 
 
 LARGEST = 1 << 20
-"""No configuration is larger, in bytes."""
+"""Largest size of a configuration file [bytes]."""
 DEEPEST = 50
 MOST_ALIASES = 1000
 MOST_NODES = 100_000
-"""How many nodes a file may stand for, once its aliases are replaced by what they name."""
+"""Largest number of nodes of a file after its aliases are expanded."""
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class ReceivedError(ValueError):
-    """One line naming the file and what is wrong with it."""
+    """Bad file; the message is one line with the file and the fault."""
 
 
 def check_folder(folder: Path) -> None:
-    """Raise ReceivedError for the first file in a folder of options that must not be composed."""
+    """Raise ReceivedError for the first bad file in a folder of options."""
     for path in sorted((*folder.rglob("*.yaml"), *folder.rglob("*.yml"))):
         check_file(path)
 
 
 def check_file(path: Path) -> None:
-    """Raise ReceivedError if a file is none, is large, deep, expands to much or holds itself."""
+    """Raise ReceivedError if a file is not regular, too large, too deep, or expands without end."""
     if not path.is_file():
         raise ReceivedError(f"{path}: is not a regular file; remove it")
     if path.stat().st_size > LARGEST:
-        raise ReceivedError(f"{path}: is larger than {LARGEST >> 20} MiB; no configuration is")
+        raise ReceivedError(f"{path}: is larger than {LARGEST >> 20} MiB; use a smaller file")
     try:
         _check_events(path)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -170,7 +169,7 @@ def check_file(path: Path) -> None:
 
 
 def _check_events(path: Path) -> None:
-    """Count what the file stands for without building it: an alias counts as what it names."""
+    """Count the nodes of a file without building it; an alias counts as the node that it names."""
     sizes: dict[str, int] = {}
     open_nodes: list[tuple[str | None, int]] = []
     aliases = total = 0
@@ -192,50 +191,51 @@ def _check_events(path: Path) -> None:
                     sizes[event.anchor] = 1
             elif isinstance(event, yaml.AliasEvent):
                 if event.anchor in {anchor for anchor, _ in open_nodes}:
-                    raise ReceivedError(f"{path}: {event.anchor!r} holds itself; remove the alias")
+                    raise ReceivedError(
+                        f"{path}: {event.anchor!r} contains itself; remove the alias"
+                    )
                 aliases += 1
                 size = sizes.get(event.anchor, 1)
             total += size
             if total > MOST_NODES or aliases > MOST_ALIASES:
                 raise ReceivedError(
-                    f"{path}: stands for more than {MOST_NODES:,} values or {MOST_ALIASES:,} "
-                    "aliases; no configuration does"
+                    f"{path}: expands to more than {MOST_NODES:,} values or {MOST_ALIASES:,} "
+                    "aliases; use fewer"
                 )
 
 
 class SecretError(ValueError):
-    """Names where a secret stands, and does not show it."""
+    """A secret in a configuration; the message names its place and does not show it."""
 
 
 def check_no_secret(value: Any, key: str) -> None:
-    """Raise SecretError if a text in this resolved part of a configuration holds a secret."""
+    """Raise SecretError if a text in this resolved part of a configuration contains a secret."""
     texts = list(_texts(value, key))
     if holds_secret("\n".join(text for _, text in texts)):
         place = next((place for place, text in texts if holds_secret(text)), key)
         raise SecretError(
-            f"{place}: holds a password or token, which would be stored with the run; remove it"
+            f"{place}: contains a password or token, which would be stored with the run; remove it"
         )
 
 
 def check_typed(overrides: Sequence[str]) -> None:
-    """Raise SecretError or ConfigError for overrides that Hydra must not write into its files.
+    """Raise SecretError or ConfigError for overrides that Hydra must not write to its files.
 
-    Hydra writes all overrides to `.hydra/overrides.yaml`, in a folder below `root`, before it calls
-    a task.
+    Hydra writes all overrides to `.hydra/overrides.yaml` below `root` before it calls a task.
     """
     for text in overrides:
         key, _, value = text.partition("=")
         if holds_secret(text) or names_secret(key.rpartition(".")[2]):
             raise SecretError(
-                f"{redacted(key)}: holds a password or token, which would be stored with the run; "
-                "remove it"
+                f"{redacted(key)}: contains a password or token, which would be stored with the "
+                "run; remove it"
             )
         if key == "root":
             check_root(value)
 
 
 def check_root(text: str) -> None:
-    """Raise ConfigError if `root` is no path that this system can store."""
+    """Raise ConfigError if `root` is not a path that this system can store."""
     if not text.strip() or not text.isprintable():
         raise ConfigError(f"root: is {text[:LONGEST_SHOWN]!r}; expected the path of a folder")
     try:
@@ -248,12 +248,12 @@ def check_root(text: str) -> None:
 
 
 def guard_environment() -> None:
-    """Keep `${oc.env:NAME}` from reading variables whose names say that they are secret."""
+    """Keep `${oc.env:NAME}` from reading variables with the name of a secret."""
     OmegaConf.register_new_resolver("oc.env", _environment, replace=True)
 
 
 def _environment(name: str, *default: str | None) -> str | None:
-    """OmegaConf's own resolver, for variables that hold no secret."""
+    """Resolver of OmegaConf, for variables that are no secrets."""
     if names_secret(name) and name in os.environ:
         raise SecretError(
             f"the environment variable {name} names a secret, which would be stored with the run; "
@@ -264,7 +264,7 @@ def _environment(name: str, *default: str | None) -> str | None:
 
 
 def _texts(value: Any, key: str) -> Iterator[tuple[str, str]]:
-    """Every text, names included, with its key path."""
+    """All texts, names included, with their key paths."""
     if isinstance(value, dict):
         for name, part in value.items():
             yield key, str(name)

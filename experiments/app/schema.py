@@ -1,4 +1,4 @@
-"""The typed root of every configuration: what it may hold, and of what type."""
+"""The schema of configurations: all keys with their types and defaults."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from omegaconf import MISSING
 class ParameterConfig:
     """One parameter of the space; the fields of `miho.Parameter` without the name.
 
-    `scaled` gives some of them in multiples of the largest magnitude of a column of the data:
-    {by: alpha, low: -0.5, high: 0.5}, where `by: output` is the column to be explained. A value
-    that stands beside it, such as space.D.high=8000, counts instead. `fixed` holds the parameter
-    at a number, `tied` at an expression of others, such as '1 - a - b'; `prior` is the mean and the
-    standard deviation of what is known of it besides the data.
+    `scaled` gives bounds in multiples of the largest magnitude of a column of the data, for example
+    {by: alpha, low: -0.5, high: 0.5}; `by: output` is the column of the measured output. An
+    explicit value, such as space.D.high=8000, replaces the scaled one. `fixed` is a constant value,
+    `tied` an expression of other parameters, such as '1 - a - b'. `prior` is the mean and the
+    standard deviation of a normal prior.
     """
 
     unit: str = MISSING
@@ -37,7 +37,7 @@ class ParameterConfig:
 
 @dataclass
 class BudgetConfig:
-    """The fields of `miho.Budget`, which Hydra could not fill because it is frozen."""
+    """The fields of `miho.Budget`; Hydra cannot fill that class because it is frozen."""
 
     evaluations: int | None = None
     seconds: float | None = None
@@ -46,10 +46,10 @@ class BudgetConfig:
 
 @dataclass
 class PartConfig:
-    """One part of a joint problem: what differs from `dataset` and `model`, and its `sigma`.
+    """One part of a joint problem: its changes of `dataset` and `model`, and its `sigma`.
 
-    A `dataset` or `model` with a `_target_` replaces the one of the whole configuration, another
-    one some of its settings. Without `sigma`, here and in `problem`, it is estimated.
+    A `dataset` or `model` with a `_target_` replaces the node of the configuration; without one, it
+    replaces some settings. If neither the part nor `problem` has `sigma`, it is estimated.
     """
 
     dataset: dict[str, Any] = field(default_factory=dict)
@@ -59,20 +59,20 @@ class PartConfig:
 
 @dataclass
 class ProblemConfig:
-    """What is known of a problem: its name, if not that of model and data, and its best error.
+    """Facts about a problem: its name (default: names of model and data) and its optimum.
 
-    Problems of one `family` (default: each is its own) are one model in one kind of box, or one
-    published formula in any box: their outcomes are not independent, so ranks and tests are shown
-    over families as well. `optimum` is the smallest known root of the loss in the space, in the
-    output's unit, and `evidence` says how it is known. Of data without errors, an error below
-    `resolution` is rounding, and counts as equal to it in an arena. `threads` are those of
-    `miho.CurveFit`: they make losses faster, which methods that work with residuals (`miho_gn`,
-    least squares) do not ask for. `sigma` is the standard deviation of the errors, a
-    number or a column of the dataset, known as it is or up to a factor (`sigma_known`).
+    The problems of a `family` (default: the problem alone) share a model and a kind of box, or a
+    published formula. Their results are not independent, so ranks and tests are also shown over
+    families. `optimum` is the smallest known root of the loss in the space, in the unit of the
+    output, and `evidence` explains it. If the data have no errors, errors below `resolution` are
+    rounding and count as equal to it in an arena. `compressed` and `threads` are the settings of
+    `miho.CurveFit` that speed up losses; methods that use residuals (`miho_gn`, least squares) do
+    not need them. `sigma` is the standard deviation of the errors, a number or a column of the
+    dataset; with `sigma_known=false` it is known only up to a factor.
 
-    `parts` are several datasets or outputs, identified at once: parameters of one name are one, but
-    those in `local`, of which each part has its own, NAME_PART. `constraints` between
-    parameters are linear, such as ['a < b', 'a + b = 1'].
+    `parts` are several datasets or outputs that are identified at once. They share the parameters
+    of equal names, except the parameters in `local`, which become NAME_PART in each part.
+    `constraints` between parameters are linear, such as ['a < b', 'a + b = 1'].
     """
 
     name: str | None = None
@@ -90,13 +90,13 @@ class ProblemConfig:
 
 @dataclass
 class ComparisonConfig:
-    """Which methods to compare, how often, and what to write on the figure.
+    """The methods and problems of a comparison, the number of repetitions, and the output.
 
-    `methods` maps an optimizer of conf/optimizer to settings that replace its own. `problems` names
-    several of conf/problem, which are then compared on together, `processes` runs at a time;
-    without it there is one problem, and one run at a time. With several, runs end at `target` times
-    the optimum that their problem records: what comes after that is compared by nothing. Figures
-    and tables go to `output`.
+    `methods` maps options of conf/optimizer to settings that replace their defaults. `problems`
+    names several options of conf/problem, for an arena in which `processes` runs are made
+    simultaneously; without it there is one problem, and one run at a time. In an arena, a run ends
+    at `target` times the recorded optimum of its problem. `note` is text for the figures. Figures
+    and tables are written to `output`.
     """
 
     repetitions: int = 5
@@ -110,16 +110,16 @@ class ComparisonConfig:
 
 @dataclass
 class SweepConfig:
-    """How a sweep (-m) goes through its runs.
+    """How a sweep (-m) executes its runs.
 
-    `workers` runs at a time, in processes of this machine, or as many as a cluster has threads:
-    dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N (`processes` is the former name). With
-    `shared` the workers of a cluster see `root` and the user's files at the same paths as this
-    machine, and store what they do by themselves; else it is sent here and stored here. A run that
-    takes longer than `time_limit` seconds in all is killed. A run that fails or is lost stops no
-    other, unless `stop_on_failure`; the next call does it again. `dry_run` lists the runs and does
-    none. `timed` says that seconds are compared: `fresh` then also sets aside finished runs whose
-    seconds other work disturbed.
+    `workers` is the number of simultaneous runs, in processes of this machine, or the address of a
+    cluster, one run per thread: dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N (`processes` is
+    the former name). With `shared`, the workers of a cluster see `root` and the user's files at the
+    same paths as this machine and store their runs themselves; otherwise results are sent to this
+    machine and stored here. A run that takes longer than `time_limit` seconds is killed. A run that
+    fails or is lost stops the others only with `stop_on_failure`; the next call repeats it.
+    `dry_run` only lists the runs. `timed` means that seconds are compared: `fresh` then also sets
+    aside finished runs whose seconds other work disturbed.
     """
 
     workers: Any = 1
@@ -133,7 +133,7 @@ class SweepConfig:
 
 @dataclass
 class TrackingConfig:
-    """Where finished runs are mirrored to; see conf/tracking."""
+    """Tracker to which finished runs are copied; see conf/tracking."""
 
     tracker: str | None = None
     uri: str | None = None
@@ -142,9 +142,12 @@ class TrackingConfig:
 
 @dataclass
 class ObstacleConfig:
-    """A box on the line that is driven: s along it, e to its left, sides [m]; and from how far
-    before it is seen [m]. Without `sight` there is none. The path around it leaves the line over
-    the last `out` [m] before it at most, and returns over `back` [m] behind it."""
+    """An obstacle: a box on the driven line; all lengths are in metres.
+
+    `s` is its position along the line, `e` its offset to the left, and `sight` the distance from
+    which it is seen; without `sight` there is no obstacle. The path around it leaves the line at
+    most `out` before the box and returns to the line within `back` after it.
+    """
 
     s: float = 0.0
     e: float = 0.0
@@ -157,7 +160,7 @@ class ObstacleConfig:
 
 @dataclass
 class SlowZoneConfig:
-    """From `start` to `end` [m] along the line, laps added up, with a top speed [m/s]."""
+    """Top speed [m/s] between `start` and `end` [m], the distance along the line over all laps."""
 
     start: float = 0.0
     end: float = math.inf
@@ -166,21 +169,21 @@ class SlowZoneConfig:
 
 @dataclass
 class DriveConfig:
-    """A drive in closed loop; see conf/track, conf/vehicle and conf/controller.
+    """A simulated drive in closed loop; see conf/track, conf/vehicle and conf/controller.
 
-    known: what planner and controllers know of the car, `identified` from the embedded data by the
-    optimizer or the `truth`; `parameters` names parameters.json files of parts of it that
-    were identified before. sensitivity [-]: how far the tires' forces fall behind their loads; null
-    takes it from the property data. performance_factor: the share of the tires' grip, as it is
-    known, that the plan uses (the paper's mu). road_friction: what the road gives the simulated
-    car, over the road on which its tires were measured; the plan does not know it. reserve: the
-    share of the planned grip that the speeds leave to the controllers. The car starts at the arc
-    length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
-    of the laps in turn, less in the `slow` zones; the desired speed goes from one to the next by
-    `ramp` upwards and `brake_ramp` downwards [m/s^2]. Without them only the plan's `top_speed`
-    counts. equations: `corrected`, or Eq. 10-15 as they are `printed`; `printed_plan` and
-    `printed_steering` take one part of them. Log, figure and table go to `output`, identified parts
-    to `root`.
+    known: parameters that planner and controllers use, `identified` from the embedded data by the
+    optimizer, or the `truth`; `parameters` names parameters.json files of parts that were
+    identified before. sensitivity [-]: relative change of a tire's friction per relative change of
+    its load; null takes it from the property data. performance_factor: share of the known grip of
+    the tires that the plan uses (the paper's mu). road_friction: friction of the simulated road,
+    relative to the road on which the tires were measured; the plan does not know it. reserve: share
+    of the planned grip that the planned speeds leave to the controllers. The car starts at the arc
+    length `start` [m] of the line with `speed` [m/s] and drives `distance` [m]. `top_speeds` [m/s]
+    are the top speeds of the laps in order, lower in the `slow` zones; the desired speed rises by
+    `ramp` and falls by `brake_ramp` [m/s^2]. Without them, only the plan's `top_speed` applies.
+    equations: `corrected`, or Eq. 10-15 as `printed`; `printed_plan` and `printed_steering` use one
+    part of them as printed. Log, figure and table are written to `output`, identified parts to
+    `root`.
     """
 
     vehicle: dict[str, Any] = field(default_factory=dict)
@@ -209,17 +212,17 @@ class DriveConfig:
 
 @dataclass
 class Config:
-    """One run, or with `comparison` a set of runs of the same problem.
+    """One run, or with `comparison` a set of runs.
 
-    `fresh` sets aside finished runs of the same request that were made of other code, data,
-    settings or packages, where the program else refuses to mix old and new.
+    `fresh` sets aside finished runs of the same request that used other code, data, settings or
+    packages; without it, the command refuses to mix old and new runs.
 
-    `method` is the name of the method in the results; without it, the name of the option that was
-    chosen for `optimizer` (of `small/miho`: miho).
+    `method` is the name of the method in the results; by default, the name of the option of
+    `optimizer` (of `r500/miho`: miho).
 
-    `workers` make the evaluations of a run where each takes long: a number of processes, -1 for one
-    per core, or the address of a cluster; in a sweep those of each run. An evaluation that takes
-    longer than `evaluation_limit` seconds is given up. What a run is does not depend on either.
+    `workers` make the evaluations of a run if each is expensive: a number of processes, -1 for one
+    per core, or the address of a cluster; in a sweep, each run has this number. An evaluation is
+    given up after `evaluation_limit` seconds. The identity of a run depends on neither.
     """
 
     model: dict[str, Any] = MISSING
@@ -243,12 +246,11 @@ class Config:
 
 RENAMED = {
     "drive.mu": "is now two settings: drive.performance_factor, the share of the tires' grip that "
-    "the plan uses (the paper's mu), and drive.road_friction, what the road gives the car",
-    "problem.compressed": "is gone, since losses are summed over all rows; leave it out",
+    "the plan uses (the paper's mu), and drive.road_friction, the friction of the road",
 }
-"""What became of settings that are called otherwise, or are gone."""
+"""Messages on settings that were renamed, by their former names."""
 
 
 def register() -> None:
-    """Make the schema known to Hydra under the name `schema`."""
+    """Register the schema with Hydra under the name `schema`."""
     ConfigStore.instance().store(name="schema", node=Config)

@@ -1,4 +1,4 @@
-"""What a worker does with a requested run, and the state that comes of it."""
+"""Execution of a requested run in a worker, and the resulting state."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from miho.study.redaction import redacted
 
 @dataclass(frozen=True)
 class State:
-    """What became of a request: a line to print, and why there is no result if there is none.
+    """State of a request: its status, a line to print, and the reason if there is no result.
 
-    `run`: what is stored of it, where this process did it.
+    `run`: the stored run, if this process executed it.
     """
 
     request: Request
@@ -33,7 +33,7 @@ class State:
 
 
 def executed_state(request: Request, execution: Execution) -> State:
-    """The state that an execution comes to."""
+    """State after an execution."""
     last = (execution.error or "").strip().splitlines()[-1:]
     return State(
         request,
@@ -44,8 +44,8 @@ def executed_state(request: Request, execution: Execution) -> State:
     )
 
 
-def ended_state(ended: JobOutcome[Request, State]) -> State:
-    """The state that a worker gives, or that of a run whose worker ended without one."""
+def ended_state(ended: JobOutcome[Request, State | None]) -> State:
+    """State that a worker returned, or the state of a run whose worker ended without a result."""
     request, reason, interrupted = ended.job, ended.reason, ended.interrupted
     if ended.result is not None:
         if interrupted or ended.result.status is not Status.INTERRUPTED:
@@ -60,12 +60,12 @@ def ended_state(ended: JobOutcome[Request, State]) -> State:
 
 
 def own_code(request: Request) -> bool:
-    """Whether a run needs a process of its own, because its model is the user's code."""
+    """Whether a run needs a separate process, because its model is the user's code."""
     return request.own_code
 
 
 def prepare(request: Request) -> None:
-    """In a worker: load what runs of a user's model share, before each is forked from it."""
+    """In a worker: load objects that runs of a user's model share, before each run is forked."""
     if not request.own_code:
         return
     with single_thread():
@@ -77,8 +77,12 @@ def prepare(request: Request) -> None:
         packages_of(optimizer)
 
 
-def execute(request: Request) -> State:
-    """In a process of its own: do a run, unless it is done."""
-    root = Path(request.root).absolute()  # before a model of the user's may change the folder
+def execute(request: Request) -> State | None:
+    """In a worker: execute a run, unless it is stored; or only compile the code that it needs."""
+    if request.compile_only:
+        experiment = experiment_of(request.setting)
+        warm_up(experiment.optimizer, experiment.problem)
+        return None
+    root = Path(request.root).absolute()  # before the user's model can change the working folder
     experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
     return executed_state(request, execution_of(experiment, quiet=True))

@@ -26,7 +26,7 @@ def test_a_secret_is_refused_and_not_shown(
     monkeypatch: pytest.MonkeyPatch, value: object, place: str
 ) -> None:
     monkeypatch.setenv("SOME_API_KEY", SECRET)
-    with pytest.raises(SecretError, match=f"^{place}: holds a password or token") as caught:
+    with pytest.raises(SecretError, match=f"^{place}: contains a password or token") as caught:
         check_no_secret(value, "key")
     for word in (SECRET, "word@", "ghp_"):
         assert word not in str(caught.value)
@@ -65,7 +65,7 @@ def test_what_hydra_would_write_down_is_checked_before(
     monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
     monkeypatch.setenv("SOME_API_KEY", SECRET)
-    with pytest.raises(SecretError, match="holds a password or token") as caught:
+    with pytest.raises(SecretError, match="contains a password or token") as caught:
         check_typed(["dataset=tire_lf", text.replace("$", SECRET)])
     assert SECRET not in str(caught.value)
     check_typed(["dataset.tire=lf", "root=runs/x", "+space.a={unit: V, low: 0, high: 1}"])
@@ -74,10 +74,10 @@ def test_what_hydra_would_write_down_is_checked_before(
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["dataset.tire=https://me:word@host/lf.tir"], "dataset.tire: holds a password"),
-        (["root=https://me:word@host/runs"], "root: holds a password"),
+        (["dataset.tire=https://me:word@host/lf.tir"], "dataset.tire: contains a password"),
+        (["root=https://me:word@host/runs"], "root: contains a password"),
         (["root=' '"], "root: is ' '; expected the path"),
-        (["problem.name=https://me:word@host"], "problem.name: holds a password"),
+        (["problem.name=https://me:word@host"], "problem.name: contains a password"),
     ],
 )
 def test_a_build_refuses_them(overrides: list[str], words: str) -> None:

@@ -76,7 +76,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds runs on 0 problems; run something first"):
         compared(tmp_path)
     commit(tmp_path, "random")
-    with pytest.raises(ConfigError, match="holds runs of random alone; a comparison needs a sec"):
+    with pytest.raises(ConfigError, match="holds only runs of random; a comparison needs a sec"):
         compared(tmp_path)
     commit(tmp_path, "pso_100")
     runs, curves = compared(tmp_path)
@@ -88,7 +88,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="2 problems; add problem=NAME, expected one of decay, g"):
         compared(tmp_path)
     assert len(compared(tmp_path, problem="decay")[0]) == 2
-    with pytest.raises(ConfigError, match=r"problem: is x, of which .* has no runs; expected one"):
+    with pytest.raises(ConfigError, match=r"problem: is x, but .* has no runs on it; expected one"):
         compared(tmp_path, problem="x")
 
 

@@ -14,10 +14,10 @@ LAUGHS = "\n".join(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (LAUGHS, "stands for more than"),
+        (LAUGHS, "expands to more than"),
         ("a: " + "[" * 3000 + "]" * 3000, "nested deeper"),
-        ("a: &a [*a]", "holds itself"),
-        ("a: &a {b: {c: *a}}", "holds itself"),
+        ("a: &a [*a]", "contains itself"),
+        ("a: &a {b: {c: *a}}", "contains itself"),
         ("a: [", "is not YAML"),
         ("#" * (2 << 20), "larger than"),
     ],
