@@ -111,7 +111,7 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
     assert checks["partial runs"].severity is Severity.WARNING
     assert str(folders[0]) in checks["partial runs"].message
     assert checks["temporary files"].message.startswith(
-        f"1 of processes that have ended: {folders[1]}/.curve.json"
+        f"1 left by ended processes: {folders[1]}/.curve.json"
     )
     assert checks["links"].severity is Severity.FAILED
     assert str(root / "elsewhere") in checks["links"].message
@@ -124,10 +124,10 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "severity", "message"),
     [
-        ("numpy>=1", Severity.OK, "1 of 1 there, in range"),
+        ("numpy>=1", Severity.OK, "1 of 1 installed, in range"),
         ("numpy<1", Severity.FAILED, r"is not <1; run make install"),
         ("no-such-package>=2", Severity.FAILED, "no-such-package>=2 is missing"),
-        ("no-such-package; python_version < '3'", Severity.OK, "0 of 0 there"),
+        ("no-such-package; python_version < '3'", Severity.OK, "0 of 0 installed"),
     ],
 )
 def test_versions(tmp_path: Path, line: str, severity: Severity, message: str) -> None:

@@ -1,4 +1,4 @@
-"""The runs of a sweep on a cluster of Dask: what its workers do, and where results go."""
+"""Runs of a sweep on a Dask cluster: the jobs of its workers, and the storage of their results."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from miho.study.store import RunInUse
 
 @dataclass(frozen=True)
 class Errand:
-    """A request for a worker of a cluster: the folder its relative paths start from, and whether
-    the worker sees the same files as this machine."""
+    """A request for a worker of a cluster: the folder of its relative paths, and whether the worker
+    sees the same files as this machine."""
 
     request: Request
     folder: str
@@ -37,7 +37,7 @@ class Errand:
 
 @dataclass(frozen=True)
 class Delivery:
-    """What became of an errand, and the files of its run where they are to be stored here."""
+    """The state after an errand, and the files of its run if this machine stores them."""
 
     state: State
     files: Mapping[str, bytes]
@@ -47,15 +47,15 @@ class Delivery:
 def cluster_runs(
     address: str, settings: SweepConfig, *, own_code: bool = False
 ) -> Iterator[ClusterRuns]:
-    """Meanwhile the workers of the cluster at `address`, for requests; raises ClusterError.
+    """Context with the workers of the cluster at `address`; raises ClusterError.
 
     Raises ConfigError for runs of the user's code (`own_code`) on machines that do not see it.
     """
     shared = settings.shared or on_this_machine(address)
     if own_code and not shared:
         raise ConfigError(
-            "sweep.workers: the model is a file of yours, which other machines need not have; put "
-            "it and root on a file system that all share, and add sweep.shared=true"
+            "sweep.workers: the model is a file of yours, which other machines may not have; put "
+            "it and root on a shared file system, and add sweep.shared=true"
         )
     with cluster(address) as client:
         pages = dashboard(client)
@@ -69,16 +69,16 @@ def cluster_runs(
 
 
 def on_this_machine(address: str) -> bool:
-    """Whether the workers of a cluster are processes that are started here."""
+    """Whether the workers of a cluster are processes that this machine starts."""
     kind, place = check_address(address)
     return kind == "dask" and isinstance(place, int)
 
 
 class ClusterRuns:
-    """The workers of a cluster as a sweep uses them, in place of `Workers`; a context manager.
+    """Workers of a cluster with the interface of `Workers`; a context manager.
 
-    A run that is stored here is claimed here while a worker does it: what another process has
-    claimed is running elsewhere, and this process's death frees it.
+    A run that is stored here is claimed here while a worker executes it. A run that another process
+    has claimed is running elsewhere. The claims end with this process.
     """
 
     def __init__(self, workers: ClusterWorkers[Errand, Delivery], *, shared: bool) -> None:
@@ -94,21 +94,21 @@ class ClusterRuns:
 
     @property
     def idle(self) -> int:
-        """How many more runs can be started now."""
+        """Number of runs that can be started now."""
         return self._workers.idle
 
     @property
     def busy(self) -> int:
-        """How many runs are being done, or are known without doing them."""
+        """Number of runs in execution, or with a known state that `wait` will return."""
         return self._workers.busy + len(self._known)
 
     @property
     def jobs(self) -> list[Request]:
-        """The runs that are being done."""
+        """Runs in execution."""
         return [errand.request for errand in self._workers.jobs]
 
     def start(self, request: Request) -> None:
-        """Have a run done, unless it is stored or another process does it."""
+        """Start a run, unless it is stored or another process executes it."""
         store = Store(Path(request.root).absolute())
         if not self._shared:
             with ExitStack() as stack:
@@ -127,8 +127,8 @@ class ClusterRuns:
         there = replace(request, root=str(store.root))
         self._workers.start(Errand(there, str(Path.cwd()), self._shared))
 
-    def wait(self, seconds: float) -> list[JobOutcome[Request, State]]:
-        """The runs that end within some seconds, stored, as soon as there is one."""
+    def wait(self, seconds: float) -> list[JobOutcome[Request, State | None]]:
+        """Wait at most `seconds` for a run to end; store and return the runs that have ended."""
         if self._known:
             known = list(self._known)
             self._known.clear()
@@ -136,7 +136,7 @@ class ClusterRuns:
         return [self._stored(ended) for ended in self._workers.wait(seconds)]
 
     def interrupt(self) -> None:
-        """Interrupt all runs: what they have comes with `wait`."""
+        """Interrupt all runs; `wait` returns their results so far."""
         self._workers.interrupt()
 
     def kill(self) -> None:
@@ -149,8 +149,8 @@ class ClusterRuns:
     def _knows(self, state: State) -> None:
         self._known.append(JobOutcome(state.request, state))
 
-    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State]:
-        """The outcome for the sweep, once what was sent lies in the store."""
+    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State | None]:
+        """Store the files that a worker sent, and return the outcome for the sweep."""
         request, delivery = ended.job.request, ended.result
         reason, detail, interrupted = ended.reason, ended.detail, ended.interrupted
         with self._claims.pop(request.identity.id, ExitStack()):
@@ -162,20 +162,20 @@ class ClusterRuns:
 
 
 def deliver(placed: Placed[Errand]) -> Delivery:
-    """In a process at a worker: do a run, in a store of its own unless it sees ours."""
+    """In a process of a worker: execute a run, in a temporary store unless it sees our files."""
     errand, request = placed.job, placed.job.request
     _go_to(errand)
     _check_same(request)
     if errand.shared:
         return Delivery(execute(request), {})
     state = execute(replace(request, root=placed.folder))
-    # The line names the file of what is not done.
-    state = replace(state, line=state.line.replace(placed.folder, request.root))
+    if state is not None:  # its line may name a file of an unfinished run
+        state = replace(state, line=state.line.replace(placed.folder, request.root))
     return Delivery(state, Store(Path(placed.folder)).files(request.identity))
 
 
 def prepare_errand(placed: Placed[Errand]) -> None:
-    """In a process at a worker: load what runs of a user's model share."""
+    """In a process of a worker: load objects that runs of a user's model share."""
     _go_to(placed.job)
     prepare(placed.job.request)
 
@@ -185,13 +185,13 @@ def _alone(placed: Placed[Errand]) -> bool:
 
 
 def _go_to(errand: Errand) -> None:
-    """Where there is such a folder, relative paths start from it as they do at the sender's."""
+    """Change to the folder of the sender, if it exists here, so that relative paths agree."""
     with contextlib.suppress(OSError):
         os.chdir(errand.folder)
 
 
 def _check_same(request: Request) -> None:
-    """Raise RuntimeError where this machine would do another run than the one that was sent."""
+    """Raise RuntimeError if the run has another identity on this machine."""
     identity = replace(experiment_of(request.setting).identity, seed=request.identity.seed)
     if identity.id == request.identity.id:
         return
@@ -204,5 +204,5 @@ def _check_same(request: Request) -> None:
     other = ", ".join(name for name, (here, there) in pairs.items() if here != there)
     raise RuntimeError(
         f"the worker on {socket.gethostname()} has other {other} than the machine of the sweep; "
-        "install the same there"
+        "install the same versions there"
     )

@@ -1,4 +1,4 @@
-"""Fig. 4, right: the front axle of property data, over a drive that it was not learned from."""
+"""Fig. 4 (right): the front axle from the property data, on a drive that the fit did not use."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ from miho.quantities import Array
 from miho.study import StoredRun
 
 SLIP = np.linspace(-0.22, 0.22, 881)
-"""Slip angles [rad] at which curves are drawn, those of the property data."""
+"""Slip angles [rad] of the drawn curves, as in the property data."""
 AT_LOAD, IN_TURN = "at the drive's load", "with load transfer"
 
 
 @dataclass(frozen=True, eq=False)
 class FrontAxle:
-    """The front axle of two tires' property data, and a drive of a car on the same tires.
+    """The front axle from the property data of two tires, and a drive of a car on the same tires.
 
-    axle: the learned curves. load: of both wheels at the drive's mean speed [N]. transfer: as in
-    `LoadedAxle.in_turn`. drive: what sensors show of the axle, 3 weaves up to and beyond its peaks.
-    reference: error on the property data over the largest force of the learned axle [-].
+    axle: the identified curves. load: load on both wheels at the mean speed of the drive [N].
+    transfer: as in `LoadedAxle.in_turn`. drive: sensor data of the axle from 3 weaves up to and
+    beyond its peaks. reference: error on the property data over the largest force of the identified
+    axle [-].
     """
 
     axle: LoadedAxle
@@ -49,7 +50,7 @@ class FrontAxle:
 
     @classmethod
     def of(cls, tires: Sequence[StoredRun], seed: int = 0) -> FrontAxle:
-        """The axle of the runs on the left and the right tire; seed: of the sensors' noise."""
+        """Axle from the runs on the left and the right tire; `seed` draws the sensor noise."""
         data = [rebuild(run).dataset for run in tires]
         thetas = [np.array(run.result["theta"]) for run in tires]
         axle = loaded_axle(data, thetas)
@@ -70,7 +71,7 @@ class FrontAxle:
 
     @property
     def models(self) -> Mapping[str, Callable[[Array], Array]]:
-        """Lateral force [N] over the slip angle [rad], by name: as sampled, and corrected twice."""
+        """Lateral force [N] over the slip angle [rad]: as sampled, and with two corrections."""
         return {
             "as sampled": self.axle.axle.force,
             AT_LOAD: self.axle.at([self.load / 2, self.load / 2]).force,
@@ -78,7 +79,7 @@ class FrontAxle:
         }
 
     def judged(self) -> Mapping[str, Generalisation]:
-        """How well each model holds on the drive."""
+        """Accuracy of each model on the drive."""
         judged = {}
         for name, force in self.models.items():
             curve, predicted = force(SLIP), force(self.drive["alpha"])
@@ -88,7 +89,7 @@ class FrontAxle:
         return judged
 
     def panel(self) -> tuple[tuple[Array, Array], Mapping[str, AxleCurve]]:
-        """What `fig4` draws: points of the drive, and the two curves at its loads."""
+        """Data of the panel in `fig4`: points of the drive, and the two curves at its loads."""
         points = np.degrees(self.drive["alpha"]), self.drive["Fy"] / 1000
         learned = float(np.degrees(SLIP[0])), float(np.degrees(SLIP[-1]))
         curves = {
@@ -101,7 +102,7 @@ class FrontAxle:
         return points, curves
 
     def note(self) -> str:
-        """The small print of that panel."""
+        """Note below that panel."""
         judged = self.judged()
         near, turning = (
             f"{found.ratio:.2f} [{found.low:.2f}, {found.high:.2f}]"
@@ -115,7 +116,7 @@ class FrontAxle:
 
 
 def verdict(axle: FrontAxle) -> list[str]:
-    """The paper's sentence on the right panel of Fig. 4, judged; a line for each model."""
+    """Judgement on the paper's claim about the right panel of Fig. 4, one line for each model."""
     sampled = float(axle.axle.loads.sum())
     lines = [
         f"front axle, learned from property data, over {len(axle.drive['Fy'])} samples of a drive "
@@ -133,7 +134,7 @@ def verdict(axle: FrontAxle) -> list[str]:
 
 
 def facts(axle: FrontAxle) -> dict[str, Any]:
-    """What the file beside the figure says of its right panel."""
+    """Facts about the right panel, for the provenance file of the figure."""
     return {
         "drive": axle.drive.digest,
         "load": axle.load,
@@ -147,7 +148,7 @@ def facts(axle: FrontAxle) -> dict[str, Any]:
 
 
 def _vehicle() -> Vehicle:
-    """The car of the paper, as it is driven."""
+    """The car of the paper with the parameters of the simulation."""
     register()
     settings = composed(["+vehicle@drive.vehicle=av21_full"]).drive.vehicle
     return Vehicle.from_settings(cast(dict[str, Any], OmegaConf.to_container(settings)))

@@ -1,7 +1,7 @@
-"""A mirror of finished runs in a tracker, written after the last of them, outside of every clock.
+"""Copies of finished runs in a tracker, written after the last run and not part of its seconds.
 
-The files of a root are the truth. What a tracker holds can be deleted and written again from them
-by `python -m experiments.sync ROOT`, so nothing that befalls a tracker befalls a run.
+The files of a root are authoritative. The entries of a tracker can be deleted and rewritten from
+them with `python -m experiments.sync ROOT`; a failing tracker never affects a run.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from miho.study.identity import canonical, sha256
 MISSING = "mlflow: is not installed; pip install 'miho[mlflow]'"
 
 HOPELESS = 3
-"""Failures in a row after which a tracker is given up."""
+"""Number of consecutive failures after which a tracker is given up."""
 SLOW_SECONDS = 2.0
-"""A tracker that takes longer for a run is not waited for at the end of a sweep."""
+"""Longest time [s] for a run at the end of a sweep; a slower tracker is given up."""
 
 
 class TrackerError(OSError):
-    """A tracker cannot be reached, is full or does not fit; the runs themselves are safe."""
+    """A tracker cannot be reached, is full or does not fit; the stored runs are safe."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A run as a tracker holds it: `whole` if its last part was written, `numbers` its results."""
+    """A run in a tracker: `whole` if it was written completely, `numbers` are its results."""
 
     key: str
     id: str
@@ -51,30 +51,30 @@ class Entry:
 
 
 class Tracker(Protocol):
-    """Where runs are mirrored to; every method may fail with any exception."""
+    """A store for copies of runs; every method may fail with any exception."""
 
     def alone(self) -> contextlib.AbstractContextManager[object]:
-        """Keep other processes from writing meanwhile."""
+        """Context in which no other process writes."""
 
     def entries(self, run: str | None = None) -> list[Entry]:
-        """All runs, or those with this id; there should be one."""
+        """Entries of all runs, or of the run with this id (normally one)."""
 
     def add(self, stored: StoredRun) -> None:
-        """Write a run; what makes the entry whole comes last."""
+        """Write a run; the mark of a complete entry comes last."""
 
     def remove(self, entry: Entry) -> None:
-        """Take a run away."""
+        """Remove a run."""
 
 
 def digest_of(stored: StoredRun) -> str:
-    """SHA-256 of a run's result, which holds those of its other files."""
+    """SHA-256 of the result of a run, which contains the checksums of its other files."""
     return sha256(canonical(dict(stored.result)))
 
 
 def numbers_of(stored: StoredRun) -> dict[str, float]:
-    """The results that a tracker holds beside the curve; what is not finite is left out.
+    """Results that a tracker stores in addition to the curve, without non-finite values.
 
-    `error` is the root of the loss in the problem's unit, times are in seconds.
+    `error` is the root of the loss in the unit of the problem; times are in seconds.
     """
     result = stored.result
     spent = ("evaluations", "seconds", "cpu_seconds", "setup_seconds")
@@ -86,18 +86,18 @@ def numbers_of(stored: StoredRun) -> dict[str, float]:
 
 
 def word(name: str) -> str:
-    """A name that every tracker takes: letters, digits, '_', '-', '.' and spaces."""
+    """Name that every tracker accepts, of letters, digits, '_', '-', '.' and spaces."""
     return re.sub(r"[^\w.\- ]", "_", name, flags=re.ASCII)[:250]
 
 
 def is_right(entry: Entry, stored: StoredRun) -> bool:
-    """Whether an entry is whole and equals the files."""
+    """Whether an entry is complete and equal to the files."""
     equal = entry.digest == digest_of(stored) and entry.numbers == numbers_of(stored)
     return entry.whole and equal
 
 
 def mirror_run(tracker: Tracker, stored: StoredRun) -> str:
-    """Make the tracker hold this run once and rightly; "there", "added" or "repaired"."""
+    """Make the tracker contain this run once and correctly: "there", "added" or "repaired"."""
     with tracker.alone():
         entries = tracker.entries(stored.result["id"])
         right = [entry for entry in entries if is_right(entry, stored)][:1]
@@ -113,7 +113,7 @@ def mirror_run(tracker: Tracker, stored: StoredRun) -> str:
 
 @dataclass(frozen=True)
 class Synced:
-    """How many runs a tracker had, how many were written, and why others were not."""
+    """Number of runs that were there, added or repaired, and the reasons why others failed."""
 
     there: int
     added: int
@@ -122,9 +122,9 @@ class Synced:
 
 
 def sync(folders: Sequence[Path], tracker: Tracker, slow: float = math.inf) -> Synced:
-    """Make the tracker hold the finished runs in these folders.
+    """Make the tracker contain the finished runs in these folders.
 
-    Gives up after failures in a row, or runs in a row that each took longer than `slow` seconds.
+    Gives up after consecutive failures, or consecutive runs that took longer than `slow` seconds.
     """
     held: dict[str, list[Entry]] = {}
     for entry in tracker.entries():
@@ -152,7 +152,7 @@ def sync(folders: Sequence[Path], tracker: Tracker, slow: float = math.inf) -> S
 
 
 def check_tracking(tracking: Mapping[str, Any]) -> bool:
-    """Whether a tracker is asked for; raises ConfigError for one that is not to be had."""
+    """Whether a tracker is configured; raises ConfigError if it is not available."""
     tracker = tracking.get("tracker")
     if tracker is None:
         return False
@@ -164,7 +164,7 @@ def check_tracking(tracking: Mapping[str, Any]) -> bool:
 
 
 def mirror_runs(plan: Sequence[Request], tracking: Mapping[str, Any]) -> None:
-    """Have the tracker of `tracking`, if there is one, hold what is finished of a plan."""
+    """Copy the finished runs of a plan to the tracker of `tracking`, if there is one."""
     if not check_tracking(tracking):
         return
     for root, folders in _finished(plan).items():
@@ -173,7 +173,7 @@ def mirror_runs(plan: Sequence[Request], tracking: Mapping[str, Any]) -> None:
 
 
 def say_unmirrored(plan: Sequence[Request], tracking: Mapping[str, Any]) -> None:
-    """Print for each root, on stderr, that a signal kept finished runs from the tracker, if any."""
+    """Print on stderr, for each root, that a signal prevented the copy to the tracker, if any."""
     if not check_tracking(tracking):
         return
     for root, folders in _finished(plan).items():
@@ -185,7 +185,7 @@ def say_unmirrored(plan: Sequence[Request], tracking: Mapping[str, Any]) -> None
 
 
 def _finished(plan: Sequence[Request]) -> dict[str, list[Path]]:
-    """The folders of finished runs of a plan by their root."""
+    """Folders of the finished runs of a plan, by root."""
     folders: dict[str, list[Path]] = {}
     for request in plan:
         store = Store(Path(request.root))
@@ -195,16 +195,16 @@ def _finished(plan: Sequence[Request]) -> dict[str, list[Path]]:
 
 
 def _connect(root: Path, uri: str | None, experiment: str | None) -> Tracker:
-    from experiments.app.mlflow_tracker import connect  # which few ask for
+    from experiments.app.mlflow_tracker import connect  # rarely needed
 
     return connect(root, uri, experiment)
 
 
 def mirror(root: Path, folders: Sequence[Path], connect: Callable[[], Tracker]) -> None:
-    """Make a tracker hold these finished runs of a root, or say once, on stderr, what it lacks.
+    """Copy these finished runs of a root to a tracker, or print on stderr how many are missing.
 
-    Whatever befalls the tracker, the runs are safe: what it does not take, or takes slowly, is left
-    to `python -m experiments.sync`.
+    The stored runs are safe in any case; `python -m experiments.sync` copies the runs that the
+    tracker refused or for which it was too slow.
     """
     if not folders:
         return
@@ -224,6 +224,6 @@ def mirror(root: Path, folders: Sequence[Path], connect: Callable[[], Tracker]) 
 
 
 def message_of(error: BaseException) -> str:
-    """An error in one line of at most 200 characters, without the passwords of addresses."""
+    """Error in one line of at most 200 characters, without passwords in addresses."""
     text = " ".join(f"{error}".split()) or type(error).__name__
     return re.sub(r"//[^/@\s]+@", "//", text)[:200]

@@ -1,6 +1,6 @@
-"""Finished runs in MLflow: one experiment, with a run for each of ours and one for the figures.
+"""Finished runs in MLflow: one experiment, with one run for each of ours and one for the figures.
 
-MLflow keeps absolute paths: after a root was moved, delete its .mlflow and write it again.
+MLflow stores absolute paths: after a root was moved, delete its folder .mlflow and copy again.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from miho.study.places import inside
 from miho.study.provenance import flattened
 
 PLACE = ".mlflow"
-"""Folder of a root's own database; readers of runs skip names that begin with a dot."""
+"""Folder of the database in a root; readers of runs skip names that begin with a dot."""
 
 OLDEST, TOO_NEW = (3, 10), (4, 0)
 TELEMETRY_OFF = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true"}
 IMPATIENCE = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1", "MLFLOW_HTTP_REQUEST_TIMEOUT": "20"}
-"""MLflow's own are 7 retries and 120 s a request; what the environment sets is kept."""
+"""Defaults unless the environment sets other values; MLflow's are 7 retries and 120 s a request."""
 
 BATCH_METRICS, BATCH_PARAMS, LONGEST_PARAM = 900, 100, 6000
-"""MLflow takes 1000 entries a batch, 100 of them parameters, of at most 6000 characters."""
+"""MLflow accepts 1000 entries per batch, of which 100 are parameters of at most 6000 characters."""
 
 LOCK_SECONDS = 60.0
 FIGURES = {".png", ".pdf", ".svg", ".html", ".md", ".csv"}
@@ -57,12 +57,12 @@ FIGURES = {".png", ".pdf", ".svg", ".html", ".md", ".csv"}
 
 @dataclass(frozen=True)
 class MLflow(Tracker):
-    """One experiment of MLflow, with a run per run and one, their parent, for the figures.
+    """One experiment of MLflow, with one entry per run, and a parent entry for the figures.
 
-    A run's tags are its id, problem, optimizer, seed, outcome and digests; its parameters the
-    resolved configuration; its metrics those of `numbers_of`, where `error` and `seconds` have a
-    point per improvement: step = evaluations, timestamp = start + seconds on the run's clock, to
-    the millisecond. Its status is FINISHED once all is written.
+    The tags of an entry are id, problem, optimizer, seed, outcome and digests of the run. Its
+    parameters are the resolved configuration, its metrics the values of `numbers_of`. `error` and
+    `seconds` have a point per improvement: the step is the number of evaluations, the timestamp is
+    start + seconds of the run, to the millisecond. The status is FINISHED after all is written.
     """
 
     client: Any
@@ -73,14 +73,14 @@ class MLflow(Tracker):
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Hold the lock beside the database, or the root's own."""
+        """Hold the lock next to the database, or the lock of the root."""
         with _locked(self.lock):
             yield
 
     def entries(self, run: str | None = None) -> list[Entry]:
-        """All runs of the experiment that have an id, or those of one."""
+        """Entries of the experiment that have an id, or the entries with this id."""
         if run is not None and not run.isalnum():
-            raise TrackerError(f"run id {run!r} holds more than letters and digits")
+            raise TrackerError(f"run id is {run!r}; expected only letters and digits")
         matching = f"tags.`miho.id` {'LIKE' if run is None else '='} '{run or '%'}'"
         entries, token = [], None
         while True:
@@ -93,7 +93,7 @@ class MLflow(Tracker):
                 return entries
 
     def add(self, stored: StoredRun) -> None:
-        """Write a run in one batch (long curves in several), then its files, then its status."""
+        """Write a run in one batch (several for long curves), then its files, then its status."""
         result, facts = stored.result, stored.result["facts"]
         start = _milliseconds(stored.environment)
         names = ("id", "problem", "optimizer", "seed", "outcome", "code", "data")
@@ -122,13 +122,13 @@ class MLflow(Tracker):
         self.client.set_terminated(key, "FINISHED", end)
 
     def remove(self, entry: Entry) -> None:
-        """Delete a run, as MLflow does: it can be restored there."""
+        """Delete a run; it can be restored in MLflow."""
         self.client.delete_run(entry.key)
 
     def attach(self, root: Path) -> int:
-        """Give the parent run the figures and tables of the root, if they have changed; how many.
+        """Attach the figures and tables of the root to the parent, if changed; return how many.
 
-        Links are not followed: a folder from elsewhere must not name what else is uploaded.
+        Links are not followed, because a received folder must not choose other files to upload.
         """
         pages = (path for name in ("figures", "reports") for path in (root / name).rglob("*"))
         files = [
@@ -151,15 +151,15 @@ class MLflow(Tracker):
 
 
 def connect(root: Path, uri: str | None = None, experiment: str | None = None) -> MLflow:
-    """MLflow at `uri`, by default SQLite below the root; a new database is initialised, once.
+    """Connect to MLflow at `uri` (default: SQLite below the root); a new database is initialised.
 
-    `experiment` is by default the name of the root. Raises MissingLibraryError, ConfigError for
-    another version of MLflow than this was written for, TrackerError if it cannot be reached,
-    PermissionError where a link in the root leads out of it.
+    `experiment` is by default the name of the root. Raises MissingLibraryError, ConfigError for an
+    unsupported version of MLflow, TrackerError if it cannot be reached, and PermissionError if a
+    link in the root leads out of it.
     """
     root = root.absolute()
     folder = inside(root, PLACE)
-    # Nothing below a root may lead out of it. MLflow reads the environment when imported.
+    # No path below a root may lead out of it. MLflow reads the environment at its import.
     for name in ("mlflow.db", "mlflow.db.lock", "lock", "artifacts"):
         inside(root, PLACE, name)
     os.environ.update(TELEMETRY_OFF)
@@ -175,7 +175,7 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
         raise ConfigError(f"mlflow: is version {version}; expected at least 3.10 and below 4")
     for noisy in ("alembic", "mlflow"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
-    # Where it is: for a file of SQLite, its lock and its artifacts lie beside it.
+    # The lock and the artifacts of a SQLite file are in its folder.
     if uri is None:
         uri = f"sqlite:///{folder / 'mlflow.db'}"
     name = experiment or root.name or "miho"
@@ -185,7 +185,7 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
     if database is not None:
         lock = database.with_name(f"{database.name}.lock")
         artifacts = (database.parent / "artifacts").as_uri()
-    # The experiment, and in it the parent run of this root, which holds figures.
+    # The experiment, and in it the parent entry of this root for the figures.
     with as_tracker_error(), _locked(lock):
         client = mlflow.MlflowClient(uri)
         existing = client.get_experiment_by_name(name)
@@ -205,7 +205,7 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
 
 @contextlib.contextmanager
 def as_tracker_error() -> Iterator[None]:
-    """Turn whatever a tracker raises into TrackerError."""
+    """Convert any exception of a tracker to TrackerError."""
     try:
         yield
     except TrackerError:
@@ -215,7 +215,7 @@ def as_tracker_error() -> Iterator[None]:
 
 
 def _database(uri: str) -> Path | None:
-    """The file of a SQLite URI."""
+    """File of a SQLite URI; None for other URIs."""
     if not uri.startswith("sqlite:"):
         return None
     path = Path(uri.removeprefix("sqlite:///")).absolute()
@@ -248,7 +248,7 @@ def _entry(run: Any) -> Entry:
 
 
 def _milliseconds(environment: Mapping[str, Any]) -> int:
-    """When a run started, from its stamp, in milliseconds since 1970; 1 if it has none."""
+    """Start of a run from its stamp, in milliseconds since 1970; 1 without a stamp."""
     try:
         start = datetime.datetime.fromisoformat(environment["time"]).timestamp()
     except (LookupError, TypeError, ValueError):
@@ -257,7 +257,7 @@ def _milliseconds(environment: Mapping[str, Any]) -> int:
 
 
 def _settings(config: Mapping[str, Any]) -> dict[str, str]:
-    """Settings by dotted name; those too long for MLflow are only in config.json."""
+    """Settings by dotted name; values too long for MLflow are only in config.json."""
     texts = {
         word(name): value if isinstance(value, str) else json.dumps(value)
         for name, value in flattened(config).items()
@@ -266,7 +266,7 @@ def _settings(config: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _curve(stored: StoredRun) -> dict[str, list[float]]:
-    """Evaluations, seconds and error of each improvement, and of the end."""
+    """Evaluations, seconds and error at each improvement and at the end."""
     times = {name: stored.curve[name] for name in ("evaluations", "seconds", "cpu_seconds")}
     return {**times, "error": [error_of(loss) for loss in stored.curve["loss"]]}
 

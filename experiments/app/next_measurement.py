@@ -1,4 +1,4 @@
-"""What to measure next, from a stored run and a file of rows that could be measured."""
+"""Advice on the next measurement, from a stored run and a file of candidate rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROWS, TABLE, FIGURE = "next_rows.csv", "next.csv", "next.png"
 
 
 def check_candidates(path: Path, rows: int) -> None:
-    """Raise ConfigError for a file that is none, or fewer than one of its rows."""
+    """Raise ConfigError if there is no such file, or if fewer than one row is requested."""
     if rows < 1:
         raise ConfigError(f"--rows is {rows}; expected at least 1")
     if not path.is_file():
@@ -40,10 +40,11 @@ def advise(
     groups: str | None,
     folder: Path,
 ) -> str:
-    """The advice in words; the chosen lines of the file, the table and a figure go to `folder`.
+    """Choose rows and return the advice as text; write the rows, a table and a figure to `folder`.
 
-    The file is read as the run's own was, if it was one (columns, headers, units, signs); else
-    it names the model's inputs, in the model's units. Raises ConfigError or CSVError.
+    If the data of the run are from a file, the candidates have the same columns, headers, units and
+    signs; else the columns are the inputs of the model in its units. Raises ConfigError and
+    CSVError.
     """
     table, frame = read_candidates(report, stored, path, groups)
     try:
@@ -60,13 +61,13 @@ def advise(
 def read_candidates(
     report: Report, stored: StoredRun, path: Path, groups: str | None
 ) -> tuple[TextTable, pd.DataFrame]:
-    """The file, and its rows: the model's inputs in their units, and the column of groups."""
+    """Read the file; return it, and its rows: the inputs of the model, and the column of groups."""
     inputs = report.problem.model.inputs
     settings = stored_part(stored, "dataset")
     columns = list(inputs)
     units = [unit if unit in UNITS else f"own:{unit}" for unit in inputs.values()]
     headers, reading, text = list(columns), dict[str, Any](), TextFormat()
-    joint = bool(stored_part(stored, "problem").get("parts"))  # which have no file in common
+    joint = bool(stored_part(stored, "problem").get("parts"))  # the parts have different files
     if "columns" in settings and "units" in settings and not joint:
         named = list(settings["columns"])
         spelled = dict(zip(named, settings["units"], strict=True))
@@ -91,7 +92,7 @@ def read_candidates(
 
 
 def _without_formulas(line: str, table: TextTable) -> str:
-    """A line of a file with an apostrophe before each cell that a spreadsheet would calculate."""
+    """The line with an apostrophe before each cell that a spreadsheet would evaluate."""
     cells = next(csv.reader([line], delimiter=table.delimiter))
     plain = [cell if _is_number(cell, table.decimal) else without_formula(cell) for cell in cells]
     if plain == cells:

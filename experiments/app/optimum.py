@@ -1,4 +1,4 @@
-"""The report of a stored run, and what can be done about an optimum in doubt."""
+"""The report of a stored run, and advice if its optimum is in doubt."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ Array = NDArray[np.float64]
 
 CHECK_SECONDS = 60.0
 CHECK = VariableProjection(screen=20, starts=1, rounds=100)
-"""Up to 100 descents, each from the best of 20 configurations of its own: independent starts."""
+"""Up to 100 descents, each from the best of 20 new configurations, so starts are independent."""
 OTHER_SEEDS = 2**32
-"""Added to a run's seed, so that the check draws what no run has drawn."""
+"""Added to the seed of a run, so that the check uses other random numbers than any run."""
 OTHER_METHODS = "miho_gn", "variable_projection"
-"""The first that a run was not made by may find a better optimum than it did."""
+"""Methods to suggest: the first one that the run did not use."""
 MORE_SCREEN, MORE_STARTS = 10, 5
 DECADES = 100.0
-"""A positive range wider than this factor may be better searched on a log scale."""
+"""For a positive range wider than this factor, a log scale is suggested."""
 MOST_HINTS = 3
 
 
 LEAST_SECONDS = 10.0
-"""A report may take as long as the run's budget, but this at least and `SECONDS` at most."""
+"""A report may take as long as the budget of the run, but between this and `SECONDS` [s]."""
 
 
 def report_of(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
-    """The report on a finished run of a problem; `settings` are those of `make_report`."""
+    """Report on a finished run of a problem; `settings` are settings of `make_report`."""
     if not sys.stderr.isatty():
         print(f"report of {problem.name}: running", file=sys.stderr, flush=True)
     result = stored.result
@@ -55,13 +55,13 @@ def report_of(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
 
 
 def save_run(report: Report, stored: StoredRun, folder: Path | None = None) -> Path:
-    """Write the report of a stored run, by default below its root; the path of its page."""
+    """Write the report of a stored run, by default below its root; return the path of its page."""
     with at_work("report") as show_stage:
         return save_report(report, folder or report_folder(stored), stored, show_stage)
 
 
 def descents_of(stored: StoredRun) -> Descents | None:
-    """Where the descents of a stored run ended; None if it made none, or is of an older version."""
+    """Ends of the descents of a stored run; None without descents or from an older version."""
     record = stored.result.get("descents")
     if not record:
         return None
@@ -72,7 +72,7 @@ def descents_of(stored: StoredRun) -> Descents | None:
 
 
 def check_optimum(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
-    """Descents from independent starts within `seconds`, with progress; Ctrl-C ends it."""
+    """Descend from independent starts for `seconds`, with a progress bar; Ctrl-C ends the check."""
     budget = Budget(seconds=seconds)
     with single_thread(), progress("check", budget, problem.unit) as observer:
         record = minimize(CHECK, problem, budget, OTHER_SEEDS + seed, observer=observer)
@@ -82,10 +82,10 @@ def check_optimum(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
 
 
 def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> str:
-    """What to type where the optimum of a run is in doubt, also after it was `checked`.
+    """Advice (overrides to type) if the optimum of a run is in doubt, also after it was `checked`.
 
-    What the budget cut may only have to go on. What ended by itself would end there again: it
-    needs other starts, another method or another box.
+    A run that the budget ended may only need a larger one. A run that converged would end in the
+    same optimum: it needs other starts, another method or another box.
     """
     settings = stored.config["optimizer"]
     ways = []
@@ -118,7 +118,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
 
 
 def larger_budget(stored: StoredRun) -> str:
-    """Ten times the limit that ended the run; empty if it had none but a target."""
+    """Override with ten times the limit that ended the run; empty if it had only a target."""
     evaluations, seconds = (stored.config["budget"].get(key) for key in ("evaluations", "seconds"))
     if seconds is not None and (evaluations is None or stored.result["seconds"] >= seconds):
         return f"budget.seconds={10 * seconds:g}"

@@ -1,4 +1,4 @@
-"""The parts of a joint problem in a configuration: what each is made from."""
+"""The parts of a joint problem in a configuration: their models, datasets and parameters."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from experiments.app.schema import ParameterConfig
 
 GROUPS = ("model", "dataset")
 USUAL = asdict(ParameterConfig())
-"""What a parameter's settings are if nothing is said of them."""
+"""Default settings of a parameter."""
 
 
 def part_nodes(config: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
-    """Model and dataset of each part: its own settings over those of the whole configuration.
+    """Model and dataset of each part: its settings replace settings of the configuration.
 
-    Own ones with a `_target_` are whole. Of a problem without parts there is one, called "".
+    Settings of a part with a `_target_` replace the whole node. A problem without parts has one
+    part, named "".
     """
     parts = config["problem"].get("parts") or {"": {}}
     return {
@@ -30,7 +31,7 @@ def _over(node: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def with_local(config: Mapping[str, Any], space: Mapping[str, Any]) -> dict[str, Any]:
-    """A space in which NAME_PART of a local parameter has what NAME has, where it says no other."""
+    """Space in which NAME_PART of a local parameter takes the settings of NAME as its defaults."""
     nodes = dict(space)
     for name in config["problem"].get("local") or ():
         for part in config["problem"].get("parts") or ():
@@ -42,7 +43,7 @@ def with_local(config: Mapping[str, Any], space: Mapping[str, Any]) -> dict[str,
 
 
 def model_files(config: Mapping[str, Any]) -> list[str]:
-    """The files of the user's that a configuration names as models."""
+    """Files of the user that a configuration names as models."""
     return list(dict.fromkeys(_paths(config)))
 
 

@@ -15,7 +15,7 @@ FILE = "posterior.nc"
 
 
 def save_posterior(report: Report, stored: StoredRun, folder: Path) -> str:
-    """Write it beside the report; where it is, and what limits it."""
+    """Sample and write the posterior next to the report; return its path and its limitations."""
     seed = int(stored.result["seed"])
     try:
         posterior = sample_posterior(report.problem, report.at.theta, seed=seed)

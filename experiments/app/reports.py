@@ -1,4 +1,4 @@
-"""Reports on stored runs as commands make them: with progress, and with what conf/ knows."""
+"""Reports on stored runs for the commands, with progress and with the facts in conf/."""
 
 from __future__ import annotations
 
@@ -39,17 +39,18 @@ from miho.study import StoredRun, load_runs, read_run
 from miho.study.manifest import missing_runs
 from miho.study.places import inside
 
-NO_INTERVALS = "Intervals were not computed; without --quick they are, and a page of their own."
+NO_INTERVALS = "Intervals were not computed; without --quick, they are on a separate page."
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to report: `bootstrap` replicates, `profile` likelihood (None: as many as are quick),
-    `level` of the intervals, a `check` for a better optimum of so many seconds, at most `seconds`
-    for what is not asked for by name, whether to `trust` models in files, none of it (`quick`), and
-    the folder to write to (None: the root). `candidates` is a file of rows that could be measured
-    next, of which to choose so many `rows` (or `groups`) for a `goal`; `posterior` is sampled.
-    `workers` share the refits.
+    """Options of a report.
+
+    bootstrap: number of replicates. profile: profile likelihood; None: for a few parameters. level:
+    of the intervals. check: seconds for a search for a better optimum. seconds: limit for the other
+    steps. trust: run models in files. quick: without intervals. output: folder; None: the root.
+    candidates: file of candidate rows, from which to choose `rows` rows or `groups` for a `goal`.
+    posterior: sample it. workers: for refits.
     """
 
     bootstrap: int
@@ -69,7 +70,7 @@ class Options:
 
 
 def workers(text: str) -> str:
-    """An argument of the command: a number of processes, -1 for one per core, or an address."""
+    """Check the argument: a number of processes, -1 for one per core, or an address."""
     try:
         if not is_address(text):
             number_of(text)
@@ -79,7 +80,7 @@ def workers(text: str) -> str:
 
 
 def read_sweep(root: Path) -> Sweep:
-    """All runs of a root; folders are given from the root on."""
+    """Read all runs of a root, with folders relative to the root."""
     stored = load_runs(root)
     if stored.runs.empty:
         raise ConfigError(f"{root}: holds no finished run; run python -m experiments.identify")
@@ -93,13 +94,13 @@ def read_sweep(root: Path) -> Sweep:
 
         sweep = Sweep.of(stored, count_run)
     if sweep.runs.empty:
-        raise ConfigError(f"{root}: none of its {count} runs can be read; identify again")
+        raise ConfigError(f"{root}: none of its {count} runs can be read; repeat the sweep")
     inside = sweep.damaged.map(lambda text: str(text).replace(f"{root}{os.sep}", ""))
     return replace(sweep, damaged=inside)
 
 
 def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -> Path:
-    """Write the page of the runs of a root, judged by what conf/ has; its path."""
+    """Write the page of the runs of a root, judged by the facts in conf/; return its path."""
     missing = missing_runs(root)
     warnings = []
     if missing is not None:
@@ -117,7 +118,7 @@ def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -
 
 
 def report_on_root(root: Path, options: Options) -> int:
-    """Write the page of all runs of a root, with reports on the best ones; the exit code."""
+    """Write the page of all runs of a root, and reports on the best ones; return the exit code."""
     sweep = read_sweep(root)
     reports = {
         problem: report_on_run(read_run(folder), options)
@@ -130,7 +131,7 @@ def report_on_root(root: Path, options: Options) -> int:
 
 
 def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
-    """Report on one run; its entry on a page of all runs, and whether the report failed."""
+    """Report on one run; return its entry on a page of all runs, and whether the report failed."""
     result = stored.result
     folder = report_folder(stored)
     if options.output is not None:
@@ -176,7 +177,7 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
 
 def _report(stored: StoredRun, options: Options) -> Report:
     if stored.result["theta"] is None:
-        raise ConfigError("the run found no finite value, so there is nothing to report")
+        raise ConfigError("the run found no finite value, so there is no report")
     problem = rebuild(stored, trusted=options.trust)
     settings: dict[str, Any] = {}
     if options.seconds is not None:

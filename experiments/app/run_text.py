@@ -1,4 +1,4 @@
-"""What a command prints of the runs that it has done, and its exit code."""
+"""Console output about finished runs, and the exit code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ENDINGS = {
 
 
 def print_summary(states: Sequence[State]) -> int:
-    """Print what became of the runs of a sweep; gives the exit code of the command."""
+    """Print a summary of the runs of a sweep; return the exit code of the command."""
     if all(state.status in (Status.TO_DO, Status.DONE_BEFORE) for state in states):
         print("\n".join(state.line for state in states if state.line))
     _print_errors(states)
@@ -47,7 +47,7 @@ def print_summary(states: Sequence[State]) -> int:
 
 
 def _report_command(root: str, states: Sequence[State]) -> str:
-    """The command that reports on the runs of a root; --trust where their model is a file."""
+    """Command that reports on the runs of a root, with --trust if their model is a file."""
     identities = (state.request.identity for state in states if state.request.root == root)
     files = sorted({file for identity in identities for file in model_files(identity.config)})
     files_run = f" (--trust runs {', '.join(files)})" if files else ""
@@ -58,7 +58,7 @@ def _report_command(root: str, states: Sequence[State]) -> str:
 
 
 def _print_errors(states: Sequence[State]) -> None:
-    """A line per problem and method: how many runs, and their errors."""
+    """Print the number of runs and their errors, one line per problem and method."""
     rows = [
         (state.request.identity.problem, state.request.identity.optimizer, state.error)
         for state in states
@@ -71,8 +71,8 @@ def _print_errors(states: Sequence[State]) -> None:
 
 
 def result_text(experiment: Experiment, stored: StoredRun) -> str:
-    """The identified parameters, how far to trust them and how good they are; writes the page."""
-    # Here, because figures take longer to import than a small run takes: only who draws them waits.
+    """Text on the parameters, their uncertainty and the run; also writes the page of the report."""
+    # Imported here, because the import of figures takes longer than a small run.
     from experiments.app.optimum import descents_of, larger_budget, report_of, save_run
     from miho.analysis.pages.run_tables import error_rows, report_text
 
@@ -81,14 +81,14 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         reasons = ", ".join(f"{n} x {reason}" for reason, n in result["rejected"].items())
         if not reasons:
             return (
-                "no configuration was looked at on all rows of data before the budget was spent; "
+                "no configuration was evaluated on all rows of data within the budget; "
                 f"search again with a larger one: {larger_budget(stored)}"
             )
         return f"no finite value was found: {reasons}"
     unit = problem.unit
     rows: list[tuple[str, str]] = []
     report, found_by = None, ""
-    # The findings: parameters with intervals and notes, or bare where the report cannot be made.
+    # Parameters with intervals and notes, or only their values if the report fails.
     try:
         report = report_of(problem, stored)
     except ValueError as reason:
@@ -107,7 +107,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         rows.append(("optimum", report.standing.statement))
     if marks:
         rows.append(("limits", ", ".join(marks)))
-    # How good the reported optimum is: its loss, and its gap to the best one that is known.
+    # The loss of the optimum, and its gap to the best known optimum.
     loss = float(problem.loss(theta[None])[0])
     if not isinstance(problem.rho, Square):
         name = type(problem.rho).__name__
@@ -121,7 +121,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         if gap != gap_of_run:
             gap += f"; of the run itself {gap_of_run}"
         rows.append(("best known", f"{math.sqrt(best):.5g} {unit} ({source}), gap {gap}"))
-    # What the run spent, how it ended, and where it is stored.
+    # Cost, ending and folder of the run.
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
@@ -130,7 +130,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
     if result.get("outside"):
-        rows.append(("outside", f"at least {result['outside']:,} evaluations, beyond the box"))
+        rows.append(("outside", f"at least {result['outside']:,} evaluations outside the box"))
     if result.get("usage"):
         rows.append(("workers", str(Usage(**result["usage"]))))
     rows.append(("run", str(stored.folder)))
@@ -140,7 +140,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
 
 
 def _gap(loss: float, best: float) -> str:
-    """How much larger the root of a loss is than that of the best one, in percent."""
+    """Difference of the roots of a loss and the best loss, in percent of the latter."""
     return f"{100 * (math.sqrt(loss / best) - 1) if best else 0.0:.4f} %"
 
 
@@ -151,10 +151,10 @@ def _ending(
     exact: float | None,
     found_by: str = "",
 ) -> str:
-    """What ended a run, and how far its descents were; losses closer than `resolution` are one.
+    """Text on the ending of a run and on its descents; losses closer than `resolution` are equal.
 
-    `exact` is the loss of the only optimum, where the problem is linear in all its parameters;
-    `found_by` the step after the run that has found a better one, if one has.
+    `exact` is the loss of the only optimum, if the problem is linear in all parameters. `found_by`
+    is the later step that found a better optimum, if there is one.
     """
     outcome, loss = str(result["outcome"]), float(result["loss"])
     ending = ENDINGS.get(outcome, outcome)

@@ -1,4 +1,4 @@
-"""How a signal ends a command: the first asks the runs to stop and keep their best so far."""
+"""Signals that end a command; after the first one, the runs stop and keep their best so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 HANG_UP = getattr(signal, "SIGHUP", None)
-"""What a closed terminal sends; Windows has none."""
+"""Signal of a closed terminal; Windows has none."""
 STOPPING = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGHUP")
@@ -21,7 +21,7 @@ STOPPING = tuple(
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal ended what was going on; `number` is its number."""
+    """A signal ended the command; `number` is its number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -30,33 +30,33 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass
 class Stop:
-    """Which signal asked to stop, and when."""
+    """The signal that asked to stop, and its time."""
 
     number: int | None = None
     at: float = 0.0
     repeated: bool = False
 
     def overdue(self, seconds: float) -> bool:
-        """Whether the runs had so many seconds to stop."""
+        """Whether the runs have had this time to stop."""
         return self.number is not None and time.monotonic() > self.at + seconds
 
 
 def name_of(number: int) -> str:
-    """The name of a signal, such as SIGINT."""
+    """Name of a signal, such as SIGINT."""
     return signal.Signals(number).name
 
 
 def ignores_hang_up() -> bool:
-    """Whether this process ignores SIGHUP, the closing of its terminal, as nohup arranges."""
+    """Whether this process ignores SIGHUP, the signal of a closed terminal, as under nohup."""
     return HANG_UP is None or signal.getsignal(HANG_UP) is signal.SIG_IGN
 
 
 @contextlib.contextmanager
 def stopping_signal() -> Iterator[Callable[[], int | None]]:
-    """Meanwhile SIGTERM and a closed terminal interrupt like Ctrl-C; gives which signal came first.
+    """Context in which SIGTERM and a closed terminal interrupt like Ctrl-C.
 
-    Python writes the number of each signal that this process handles into a socket, so that it is
-    known even where a library swallowed the interrupt; None if none came.
+    Yields a function that returns the number of the first signal, or None. Python writes the number
+    of each handled signal to a socket, so it is known even if a library swallows the interrupt.
     """
     signal.signal(signal.SIGTERM, _as_interrupt)
     if HANG_UP is not None and not ignores_hang_up():
@@ -80,14 +80,14 @@ def stopping_signal() -> Iterator[Callable[[], int | None]]:
 
 
 def _as_interrupt(number: int, frame: FrameType | None) -> None:
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background jobs begin so
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in background jobs of a shell
         raise KeyboardInterrupt
     signal.raise_signal(signal.SIGINT)
 
 
 @contextlib.contextmanager
 def stopping(interrupt: Callable[[], None]) -> Iterator[Stop]:
-    """While this lasts, the first signal calls `interrupt`, the second ends all at once."""
+    """Context in which the first signal calls `interrupt`, and the second raises `Stopped`."""
     stop = Stop()
 
     def on_signal(number: int, frame: FrameType | None) -> None:

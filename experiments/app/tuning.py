@@ -1,4 +1,4 @@
-"""The study behind `hydra/sweeper=optuna`: its search space, its trials and its result."""
+"""The study of `hydra/sweeper=optuna`: its search space, its trials and its result."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
 FINISHED = (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
 DIRECTIONS = ("minimize", "maximize")
 ENDED_EARLY = "ended_early"
-"""Marks trials that a signal ended, or that could not begin: they count for nothing."""
+"""Attribute of trials that a signal ended, or that could not start; they are not counted."""
 RESULTS = "optimization_results.yaml"
-"""What is left in the folder of the sweep: the best trial."""
+"""File of the best trial in the folder of the sweep."""
 
 
 def tune(
     sweeper: OptunaSweeper, launcher: Launcher, config: DictConfig, arguments: Sequence[str]
 ) -> None:
-    """Ask for trials, have them done and tell their errors until the study has `n_trials`."""
+    """Ask for trials, execute them and report their errors until the study has `n_trials`."""
     _check(sweeper)
     space, fixed = search_space(sweeper.params, arguments, config)
     with _study(sweeper) as study:
@@ -74,7 +74,7 @@ def _tune(
             returned = launcher.launch(batch, initial_job_idx=number)
             errors = [float(job.return_value) for job in returned]
         except BaseException:
-            for trial in trials:  # the next call begins with them
+            for trial in trials:  # the next call starts with them
                 trial.set_user_attr(ENDED_EARLY, True)
                 study.tell(trial, state=TrialState.FAIL)
                 study.enqueue_trial(trial.params)
@@ -89,7 +89,7 @@ def _tune(
         if failed > sweeper.max_failure_rate * len(errors):
             print(
                 f"{failed} of {len(errors)} trials have no result, so the study ends; "
-                "hydra.sweeper.max_failure_rate allows a share of them",
+                "hydra.sweeper.max_failure_rate is the share that may fail",
                 file=sys.stderr,
             )
             break
@@ -99,7 +99,7 @@ def _tune(
 def search_space(
     params: dict[str, Any], arguments: Sequence[str], config: DictConfig
 ) -> tuple[dict[str, BaseDistribution], list[str]]:
-    """The distributions of the settings that are searched, and the overrides of all trials.
+    """Distributions of the tuned settings, and the overrides that all trials share.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ def search_space(
     arguments
         Overrides; they replace `params` of the same setting.
     config
-        The composed configuration: a setting that is a whole number there gets whole numbers from
-        an interval between whole numbers, which Hydra reads as real ones.
+        The composed configuration. If a setting is an integer there, an interval between integers
+        gives integers; Hydra reads the ends as real numbers.
     """
     parser = OverridesParser.create()
     texts = [*(f"{key}={value}" for key, value in params.items()), *arguments]
@@ -122,14 +122,14 @@ def search_space(
     fixed = [str(override.input_line) for key, override in last.items() if key not in space]
     if not space:
         raise ConfigError(
-            "hydra.sweeper.params: is empty, so there is nothing to choose; give such as "
+            "hydra.sweeper.params: is empty; give a setting to tune, such as "
             "'optimizer.R=interval(100, 10000)'"
         )
     return space, fixed
 
 
 def _distribution(key: str, override: Override, *, whole: bool) -> BaseDistribution:
-    """What a `choice()`, `range()` or `interval()` stands for; tag(log, ...) is logarithmic."""
+    """Distribution of a `choice()`, `range()` or `interval()`; with tag(log, ...) logarithmic."""
     value = override.value()
     if isinstance(value, ChoiceSweep):
         choices = override.sweep_iterator(transformer=Transformer.encode)
@@ -137,7 +137,7 @@ def _distribution(key: str, override: Override, *, whole: bool) -> BaseDistribut
     log = "log" in getattr(value, "tags", ())
     if isinstance(value, RangeSweep) and value.start is not None and value.stop is not None:
         if all(isinstance(n, int) for n in (value.start, value.stop, value.step)):
-            # Hydra's range leaves out its end, as Python's does.
+            # The range of Hydra excludes its end, as in Python.
             last = list(range(int(value.start), int(value.stop), int(value.step)))[-1]
             return IntDistribution(int(value.start), last, log=log, step=int(value.step))
         return FloatDistribution(value.start, value.stop, log=log, step=value.step)
@@ -153,7 +153,7 @@ def _distribution(key: str, override: Override, *, whole: bool) -> BaseDistribut
 
 
 def _plain(choice: object) -> str | int | float | bool | None:
-    """A choice as Optuna stores it: plain values as they are, all others as their text."""
+    """A choice as Optuna stores it: plain values unchanged, other values as text."""
     if choice is None or isinstance(choice, str | int | float | bool):
         return choice
     return str(choice)
@@ -173,10 +173,10 @@ def _check(sweeper: OptunaSweeper) -> None:
 
 @contextmanager
 def _study(sweeper: OptunaSweeper) -> Iterator[optuna.Study]:
-    """The study, begun or continued; its database is closed afterwards."""
+    """Context with a new or continued study, whose database is closed afterwards."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     if sweeper.storage is not None and sweeper.study_name is None:
-        raise ConfigError("hydra.sweeper.study_name: is missing; the storage keeps studies by name")
+        raise ConfigError("hydra.sweeper.study_name: is missing; give a name for the storage")
     storage = None if sweeper.storage is None else RDBStorage(sweeper.storage)
     study = optuna.create_study(
         study_name=sweeper.study_name,
@@ -185,7 +185,7 @@ def _study(sweeper: OptunaSweeper) -> Iterator[optuna.Study]:
         direction=StudyDirection[sweeper.direction.upper()],
         load_if_exists=True,
     )
-    if study.get_trials(deepcopy=False):  # the same seed would make the first trials again
+    if study.get_trials(deepcopy=False):  # the same seed would repeat the first trials
         sweeper.sampler.reseed_rng()
     try:
         yield study
@@ -196,13 +196,13 @@ def _study(sweeper: OptunaSweeper) -> Iterator[optuna.Study]:
 
 
 def _finished(study: optuna.Study) -> int:
-    """How many trials of the study have ended by themselves."""
+    """Number of trials of the study that have ended regularly."""
     trials = study.get_trials(deepcopy=False, states=FINISHED)
     return sum(ENDED_EARLY not in trial.user_attrs for trial in trials)
 
 
 def _texts(trial: Trial) -> list[tuple[str, str]]:
-    """The settings of a trial as Hydra reads them; JSON writes null, true and false as it does."""
+    """Settings of a trial as Hydra reads them; JSON has the same null, true and false."""
     return [
         (key, value if isinstance(value, str) else json.dumps(value))
         for key, value in trial.params.items()
@@ -214,7 +214,7 @@ def _in_words(trial: Trial) -> str:
 
 
 def _save_best(study: optuna.Study, folder: Path) -> None:
-    """Print the best trial and leave it in the folder of the sweep."""
+    """Print the best trial and write it to the folder of the sweep."""
     if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         return
     best = study.best_trial

@@ -1,1 +1,1 @@
-"""What `doctor` and `faults` check: machine, packages, a folder of runs; the fault table."""
+"""Checks of `doctor` (machine, packages, a folder of runs), and the fault table of `faults`."""

@@ -1,4 +1,4 @@
-"""The fault table: what became of each of its rows, gathered from pytest as they end."""
+"""The fault table, collected from pytest while the tests run."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ MET, NOT_JUDGED, MISSED, BROKEN, MISSING = "met", "not judged", "MISSED", "BROKE
 
 
 class FaultTable:
-    """A plugin of pytest that gathers the rows of the table and prints each as it ends."""
+    """Plugin of pytest that collects the rows of the table and prints each at its end."""
 
     def __init__(self) -> None:
         self.outcomes: dict[str, tuple[str, ...]] = {}
-        """By row: its cells in the order of `WIDTHS`."""
+        """Cells of each row in the order of `WIDTHS`."""
         self.interrupted = False
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """A test that is done, or that could not be set up."""
+        """Record a test that has ended, or whose setup failed."""
         properties: dict[str, Any] = dict(report.user_properties)
         if "fault" not in properties or (report.when != "call" and report.passed):
             return
@@ -41,22 +41,22 @@ class FaultTable:
         print(f"{row['row']:<4} {verdict:<10} {seconds:>5} s  {name}: {measured}", flush=True)
 
     def pytest_keyboard_interrupt(self) -> None:
-        """Ctrl-C: no further row is begun."""
+        """Start no further row after Ctrl-C."""
         self.interrupted = True
 
     def pytest_report_teststatus(self, report: pytest.TestReport) -> tuple[str, str, str]:
-        """No dots of pytest's between the lines."""
+        """Suppress the dots of pytest between the lines."""
         return report.outcome, "", ""
 
     def frame(self, rows: Sequence[str]) -> pd.DataFrame:
-        """These rows, in order, and what is missing of them."""
+        """Table of these rows, in order; rows without a test are marked as missing."""
         absent = ("-", "-", "no such test", MISSING, "0.0")
         cells = [self.outcomes.get(row, (row, *absent)) for row in sorted(rows, key=ROWS.index)]
         return pd.DataFrame(cells, columns=list(WIDTHS))
 
 
 def as_text(frame: pd.DataFrame) -> str:
-    """Aligned, each cell wrapped within its column; how many rows are met below."""
+    """Aligned text with wrapped cells, and the number of rows that are met."""
     lines = [_line(list(WIDTHS)), _line(["-" * width for width in WIDTHS.values()])]
     for cells in frame.itertuples(index=False):
         wrapped = [

@@ -1,4 +1,4 @@
-"""Can seconds be measured on this machine now: checks of it, and a method against itself."""
+"""Checks whether this machine can measure seconds now, including a method against itself."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ENOUGH, LITTLE = 2**30, 100 * 2**20
 
 
 class Severity(StrEnum):
-    """How bad what a check saw is: nothing, worth knowing, or something to mend."""
+    """Severity of the result of a check."""
 
     OK = "ok"
     WARNING = "warning"
@@ -40,7 +40,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """What was looked at, how it is, and what was seen and is to be done."""
+    """Result of a check: its name, its severity, and a message with the remedy."""
 
     name: str
     severity: Severity
@@ -48,49 +48,47 @@ class Check:
 
     @property
     def line(self) -> str:
-        """The check as a line for the terminal."""
+        """Line for the terminal."""
         return f"{self.name:<18} {self.severity:<8} {self.message}"
 
 
 def machine_checks(place: Path, *, timing: bool) -> Iterator[Check]:
-    """One check after the other; `place` is where results go, `timing` runs the A/A test too."""
+    """Make the checks one by one; `place` is the folder of results, `timing` adds the A/A test."""
     yield cores()
     yield threads()
     yield load()
     yield clock()
     yield disk(place)
     yield speed()
-    yield same_method() if timing else Check("A/A test", Severity.OK, "not run; --timing runs it")
+    yield same_method() if timing else Check("A/A test", Severity.OK, "not run; add --timing")
 
 
 def cores() -> Check:
-    """All cores, and those that this process may use."""
+    """Number of cores, and the number that this process may use."""
     total = os.cpu_count() or 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else total
     message = f"{usable} of {total}"
     if usable == 1:
-        return Check(
-            "cores", Severity.WARNING, f"{message}; anything else that runs disturbs a timing"
-        )
+        return Check("cores", Severity.WARNING, f"{message}; any other process disturbs a timing")
     return Check("cores", Severity.OK, message)
 
 
 def threads() -> Check:
-    """Whether the numerical libraries can be held to one thread."""
+    """Whether the numerical libraries can be limited to one thread."""
     with single_thread():
         pools = threadpoolctl.threadpool_info()
     several = [
         f"{pool['prefix']} {pool['num_threads']}" for pool in pools if pool["num_threads"] > 1
     ]
     if several:
-        message = f"{', '.join(several)} although one was asked for; set OMP_NUM_THREADS=1"
+        message = f"{', '.join(several)} although one was requested; set OMP_NUM_THREADS=1"
         return Check("threads", Severity.FAILED, message)
     names = ", ".join(sorted({pool["prefix"] for pool in pools})) or "no library found"
     return Check("threads", Severity.OK, f"one in a run ({names})")
 
 
 def busy_cores(seconds: float = IDLE_SECONDS) -> float | None:
-    """Cores that other work keeps busy while we sleep; None where the system does not count."""
+    """Cores that other processes use while this one sleeps; None if the system has no counters."""
     before, started = machine_seconds(), time.perf_counter()
     time.sleep(seconds)
     after, took = machine_seconds(), time.perf_counter() - started
@@ -98,34 +96,34 @@ def busy_cores(seconds: float = IDLE_SECONDS) -> float | None:
 
 
 def load() -> Check:
-    """How many cores other work keeps busy, and the load average."""
+    """Cores that other processes use, and the load average."""
     busy = busy_cores()
     averages = os.getloadavg() if hasattr(os, "getloadavg") else None
     message = f"load average {averages[0]:.2f}" if averages else "no load average here"
     if busy is None:
         return Check("load", Severity.OK, message)
-    message = f"other work keeps {busy:.2f} cores busy, {message}"
+    message = f"other processes use {busy:.2f} cores, {message}"
     if busy > BUSY_CORES:
         return Check("load", Severity.WARNING, f"{message}; time nothing until it has ended")
     return Check("load", Severity.OK, message)
 
 
 def clock() -> Check:
-    """Whether the clock of all durations never falls, and how finely it ticks."""
+    """Whether the clock for durations is monotonic, and its resolution."""
     readings = np.array([time.perf_counter() for _ in range(READINGS)])
     steps = np.diff(readings)
     finest = float(steps[steps > 0].min()) if (steps > 0).any() else float("inf")
     info = time.get_clock_info("perf_counter")
     message = f"{info.implementation}, finest step {finest * 1e9:.0f} ns"
     if (steps < 0).any() or not info.monotonic:
-        return Check("clock", Severity.FAILED, f"{message}; it falls: no duration can be trusted")
+        return Check("clock", Severity.FAILED, f"{message}; not monotonic, do not use durations")
     if finest > RESOLUTION:
         return Check("clock", Severity.WARNING, f"{message}; short runs cannot be timed")
     return Check("clock", Severity.OK, message)
 
 
 def disk(place: Path) -> Check:
-    """Free space where the results go."""
+    """Free space for the results."""
     free = shutil.disk_usage(place).free
     message = f"{free / 2**30:.1f} GiB free for {place}"
     if free < LITTLE:
@@ -136,14 +134,14 @@ def disk(place: Path) -> Check:
 
 
 def speed() -> Check:
-    """Whether fixed work takes the same time again and again."""
+    """Whether a fixed computation takes the same time each time."""
     work = ReferenceWork()
     took = []
     for _ in range(KERNELS):
         work.measure()
         took.append(work.last)
     spread = float(np.median(took) / min(took))
-    message = f"fixed work {min(took) * 1e3:.3f} ms at best, median {spread:.2f} times that"
+    message = f"fixed work {min(took) * 1e3:.3f} ms at best, median {spread:.2f} times as long"
     if spread > STEADY:
         return Check(
             "speed", Severity.WARNING, f"{message}; the cores are shared or change their clock"
@@ -152,22 +150,22 @@ def speed() -> Check:
 
 
 def same_method() -> Check:
-    """One optimizer under two names, interleaved: 40 runs of 20 ms each."""
+    """Compare one optimizer under two names: 40 interleaved runs of 20 ms each."""
     pairs = same_method_twice(evaluations_in())
     message = (
         f"one method by two names: CPU {pairs.cpu_ratio:.3f}, wall {pairs.wall_ratio:.3f}, "
         f"{int(pairs.valid.sum())} of {pairs.valid.size} runs valid"
     )
     if pairs.valid.mean() < ENOUGH_VALID:
-        return Check("A/A test", Severity.WARNING, f"{message}; not judged, the machine is busy")
+        return Check("A/A test", Severity.WARNING, f"{message}; not judged: the machine is busy")
     if pairs.outside():
-        message += f"; {' and '.join(pairs.outside())}: compare no seconds on this machine now"
+        message += f"; {' and '.join(pairs.outside())}: do not compare seconds on this machine now"
         return Check("A/A test", Severity.FAILED, message)
     return Check("A/A test", Severity.OK, message)
 
 
 class Waves(Problem):
-    """Mean square of sines at 200 points over (n, 3) amplitudes: some microseconds a row."""
+    """Mean square of sines at 200 points over (n, 3) amplitudes; a row takes some microseconds."""
 
     name = "waves"
     space = Space(tuple(Parameter(name, "-", -1.0, 1.0) for name in "abc"))
@@ -191,16 +189,16 @@ class Pairs:
 
     @property
     def cpu_ratio(self) -> float:
-        """Total CPU time of the first name by that of the second."""
+        """Ratio of the total CPU times of the first and the second name."""
         return _ratio(self.cpu)
 
     @property
     def wall_ratio(self) -> float:
-        """Total wall time of the first name by that of the second."""
+        """Ratio of the total wall times of the first and the second name."""
         return _ratio(self.wall)
 
     def outside(self) -> list[str]:
-        """The ratios that leave their intervals, in words."""
+        """Texts on the ratios outside their intervals."""
         wrong = []
         for name, ratio, (low, high) in (
             ("CPU", self.cpu_ratio, CPU_RATIO),
@@ -218,9 +216,9 @@ def same_method_twice(
     interleaved: bool = True,
     halfway: Callable[[], None] | None = None,
 ) -> Pairs:
-    """Random search by two names, `pairs` times each: ABBA in turn, or all of A before all of B.
+    """Random search under two names, `pairs` times each, in the order ABBA or all A before all B.
 
-    `halfway` is called between the first half of all runs and the second.
+    `halfway` is called between the first half of all runs and the second half.
     """
     order = [(pair, name) for pair in range(pairs) for name in ((0, 1), (1, 0))[pair % 2]]
     if not interleaved:
@@ -238,7 +236,7 @@ def same_method_twice(
 
 
 def evaluations_in(seconds: float = SECONDS) -> int:
-    """How many evaluations take so much CPU time here."""
+    """Number of evaluations that take this CPU time here."""
     with single_thread():
         record = _search(0, Budget(evaluations=5000))
         record = _search(0, Budget(evaluations=5000))

@@ -1,4 +1,4 @@
-"""Is what pyproject.toml asks for installed: Python, the dependencies, and each extra."""
+"""Checks of the installed packages against pyproject.toml: Python, dependencies and extras."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from experiments.diagnosis.machine import Check, Severity
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 NEEDED = "experiments"
-"""The extra without which no command runs; what others lack is said, and no fault."""
+"""The extra that all commands need; missing packages of other extras are no failure."""
 
 
 def package_checks(pyproject: Path = PYPROJECT) -> Iterator[Check]:
-    """Python, the dependencies, and each extra."""
+    """Check Python, the dependencies, and each extra."""
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
     supported, running = SpecifierSet(project["requires-python"]), platform.python_version()
     if running in supported:
@@ -32,7 +32,7 @@ def package_checks(pyproject: Path = PYPROJECT) -> Iterator[Check]:
 
 
 def _group(name: str, lines: list[str], *, needed: bool) -> Check:
-    """Requirements that are met, missing or met by a version out of range."""
+    """Check which requirements are met, missing, or have a version out of range."""
     absent, out_of_range = [], []
     requirements = [Requirement(line) for line in lines]
     applicable = [r for r in requirements if r.marker is None or r.marker.evaluate()]
@@ -44,7 +44,7 @@ def _group(name: str, lines: list[str], *, needed: bool) -> Check:
             continue
         if not requirement.specifier.contains(installed, prereleases=True):
             out_of_range.append(f"{requirement.name} {installed} is not {requirement.specifier}")
-    message = f"{len(applicable) - len(absent)} of {len(applicable)} there"
+    message = f"{len(applicable) - len(absent)} of {len(applicable)} installed"
     if out_of_range or (absent and needed):
         faults = [*out_of_range, *(f"{line} is missing" for line in absent if needed)]
         return Check(name, Severity.FAILED, f"{message}: {', '.join(faults)}; run make install")

@@ -1,4 +1,4 @@
-"""Is a folder of runs sound: damage, missing runs, and what interrupted runs left behind."""
+"""Checks of a folder of runs: damage, missing runs, and files of interrupted runs."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from miho.study.places import below
 
 QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")
-"""What `write_text` calls a file until it is whole: .NAME.PID."""
+"""Name of a file that `write_text` has not completed: .NAME.PID."""
 LOCK, LISTED = "lock", 3
 IN_WORDS = {
     "processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD",
     "formulas": "machines of formulas",
 }  # fmt: skip
-"""What `ARITHMETIC` names."""
+"""Descriptions of the keys in `ARITHMETIC`."""
 
 
 def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
-    """One check after the other of an existing root; `quarantine` moves damaged runs aside."""
+    """Check an existing root, one check at a time; `quarantine` moves damaged runs aside."""
     stored = load_runs(root)
     yield runs(root, stored, quarantine=quarantine)
     yield missing(root)
@@ -54,7 +54,7 @@ def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
 
 
 def files_and_links(root: Path) -> tuple[list[Path], list[Path]]:
-    """All files and all symbolic links below the root, without following any; not what is aside."""
+    """Files and symbolic links below the root and not in quarantine; links are not followed."""
     files, links = [], []
     for folder, folders, names in os.walk(root, followlinks=False):
         if QUARANTINE in folders:
@@ -68,7 +68,7 @@ def files_and_links(root: Path) -> tuple[list[Path], list[Path]]:
 
 
 def runs(root: Path, stored: Runs, *, quarantine: bool) -> Check:
-    """Finished runs, and those whose files do not match their checksums."""
+    """Finished runs, and runs whose files do not match their checksums."""
     message = f"{len(stored.runs)} finished, {len(stored.curves):,} rows of curves"
     damaged = stored.damaged
     if damaged.empty:
@@ -87,7 +87,7 @@ def runs(root: Path, stored: Runs, *, quarantine: bool) -> Check:
 
 
 def missing(root: Path) -> Check:
-    """Runs that sweeps consisted of and that have no result."""
+    """Runs of recorded sweeps that have no result."""
     message = missing_runs(root)
     if message is None:
         return Check("missing runs", Severity.OK, "none")
@@ -95,7 +95,7 @@ def missing(root: Path) -> Check:
 
 
 def arithmetic(folders: Iterable[str]) -> Check:
-    """Whether all runs used one kind of CPU, BLAS kernel and SIMD, where their stamps record it."""
+    """Whether all runs with stamps used one kind of CPU, BLAS kernel and SIMD."""
     kinds: dict[str, Counter[str]] = {name: Counter() for name in ARITHMETIC}
     for folder in folders:
         with contextlib.suppress(OSError, *MALFORMED):
@@ -110,16 +110,16 @@ def arithmetic(folders: Iterable[str]) -> Check:
     ]
     if not message:
         return Check(
-            "arithmetic", Severity.OK, "one CPU and one kernel of BLAS, as far as runs say"
+            "arithmetic", Severity.OK, "one CPU and one kernel of BLAS, as far as runs record it"
         )
     bits = "the same seed need not give the same bits"
     return Check("arithmetic", Severity.WARNING, f"runs of {' and '.join(message)}: {bits}")
 
 
 def move_aside(root: Path, folder: Path) -> Path | None:
-    """Move a damaged run below ROOT/.quarantine and say where; None if it is in use or outside.
+    """Move a damaged run below ROOT/.quarantine; return its path, or None if in use or outside.
 
-    Nothing is deleted. Of a symbolic link the link is moved, whatever it leads to.
+    Nothing is deleted. Of a symbolic link, the link is moved and not its target.
     """
     if not folder.parent.resolve().is_relative_to(root.resolve()) or folder == root:
         return None
@@ -142,7 +142,7 @@ def move_aside(root: Path, folder: Path) -> Path | None:
 
 
 def partial(files: Sequence[Path]) -> Check:
-    """Runs that were interrupted or failed; the best they had come to is kept."""
+    """Runs that were interrupted or failed, whose best results so far are stored."""
     folders = {path.parent for path in files if path.name in (PARTIAL, JOURNAL)}
     folders -= {path.parent for path in files if path.name == RESULT}
     if not folders:
@@ -153,20 +153,20 @@ def partial(files: Sequence[Path]) -> Check:
 
 
 def temporary(files: Sequence[Path]) -> Check:
-    """Files that a process was writing when it was killed."""
+    """Files that a killed process was writing."""
     stale = []
     for path in files:
         match = TEMPORARY.fullmatch(path.name)
         if match and not _alive(int(match[1])):
             stale.append(path)
     if not stale:
-        return Check("temporary files", Severity.OK, "none of processes that have ended")
-    message = f"{len(stale)} of processes that have ended: {_some(stale)}; they can be deleted"
+        return Check("temporary files", Severity.OK, "none left by ended processes")
+    message = f"{len(stale)} left by ended processes: {_some(stale)}; they can be deleted"
     return Check("temporary files", Severity.WARNING, message)
 
 
 def locks(files: Sequence[Path]) -> Check:
-    """Runs that some process is running, as the kernel lists them; taking no lock ourselves."""
+    """Runs that a process executes, from the locks that the kernel lists; takes no lock."""
     try:
         lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
     except OSError:
@@ -177,7 +177,7 @@ def locks(files: Sequence[Path]) -> Check:
         holders[os.makedev(int(major, 16), int(minor, 16)), int(inode)] = fields[4]
     held = []
     for path in (path for path in files if path.name == LOCK):
-        with contextlib.suppress(FileNotFoundError):  # it ended meanwhile
+        with contextlib.suppress(FileNotFoundError):  # the run has just ended
             status = path.stat()
             process = holders.get((status.st_dev, status.st_ino))
             if process is not None:
@@ -186,12 +186,12 @@ def locks(files: Sequence[Path]) -> Check:
 
 
 def leading_out(root: Path, links: Sequence[Path]) -> Check:
-    """Symbolic links to places outside of the root, and to nothing."""
+    """Symbolic links to places outside the root, and broken links."""
     out = [link for link in links if not below(link, root)]
     if not out:
         return Check("links", Severity.OK, "none leads out")
     message = (
-        f"{len(out)} lead out of {root} or nowhere: {_some(out)}; remove them, none is followed"
+        f"{len(out)} lead out of {root} or are broken: {_some(out)}; remove them (not followed)"
     )
     return Check("links", Severity.FAILED, message)
 
@@ -207,7 +207,7 @@ def _alive(process: int) -> bool:
 
 
 def _some(things: Sequence[object] | set[Path]) -> str:
-    """The first few, and how many more."""
+    """Text with the first few things, and the number of further ones."""
     names = sorted(map(str, things))
     more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
     return ", ".join(names[:LISTED]) + more

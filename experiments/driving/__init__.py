@@ -1,1 +1,1 @@
-"""From a configuration to a drive: the car as it is known, the road, the driver, the laps."""
+"""From a configuration to a drive: the known car, the road, the driver, the laps."""

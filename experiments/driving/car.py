@@ -1,4 +1,4 @@
-"""The car as planner and controllers know it: identified from the embedded data, or true."""
+"""The car model of planner and controllers: identified from the embedded data, or the truth."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "brake_step": ("dataset=brake_step",),
     }
 )
-"""What is identified of a car, and the overrides that describe each problem."""
+"""Identified parts of a car, and the overrides that describe the problem of each."""
 Parts = Mapping[str, tuple[CurveFit, Array]]
-"""The problem of each part of `PARTS` with the parameters that were found."""
+"""Problem and identified parameters of each part in `PARTS`."""
 
 
 def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
-    """The car that `drive.known` chooses, and its identified parts, none for the truth."""
+    """The car that `drive.known` chooses, and its identified parts (empty for the truth)."""
     if cfg.drive.known == "truth":
         tires, engine = embedded_tires(), embedded_engine()
         return KnownCar.of_tires(vehicle, tires, engine, EMBEDDED_BRAKE), {}
@@ -62,7 +62,7 @@ def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
     if cfg.drive.sensitivity is None and (own := sorted(set(cfg.drive.parameters) & set(TIRES))):
         raise ConfigError(
             f"drive.sensitivity: is null; expected a number with drive.parameters.{own[0]}, since "
-            "the property data tell that of their own tires only"
+            "the property data determine it only for their tires"
         )
     parts = identified_parts(cfg)
     problems = {part: problem for part, (problem, _) in parts.items()}
@@ -71,10 +71,10 @@ def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
 
 
 def identified_parts(cfg: DictConfig, names: Sequence[str] = tuple(PARTS)) -> Parts:
-    """Parts of the car, each from a parameters file: one that `drive.parameters` names, or its own.
+    """Parts of the car, each from the parameters file that `drive.parameters` names, or a new one.
 
-    What has none named is identified by the configured method, unless that run is in the store of
-    `root`, and its file written to ROOT/parameters.
+    A part without a named file is identified by the configured method, unless that run is stored in
+    `root`, and its file is written to ROOT/parameters.
     """
     experiments = {part: build(part_setting(cfg, part)) for part in names}
     files = {part: Path(path) for part, path in cfg.drive.parameters.items()}
@@ -102,7 +102,7 @@ def identified_parts(cfg: DictConfig, names: Sequence[str] = tuple(PARTS)) -> Pa
 
 
 def part_setting(cfg: DictConfig, part: str) -> Mapping[str, Any]:
-    """One problem of `PARTS` with the method, the budget, the seed and the root of a drive."""
+    """Configuration of a part with the method, the budget, the seed and the root of a drive."""
     drive = plain(cfg)
     budget = {**drive["budget"], "target": None}
     shared = {key: drive[key] for key in ("optimizer", "method", "seed", "root")}
@@ -110,7 +110,7 @@ def part_setting(cfg: DictConfig, part: str) -> Mapping[str, Any]:
 
 
 def identified_engine(root: Path) -> IdentifiedEngine:
-    """The engine map with the curves at 5, 15 and 20 % throttle, identified by least squares.
+    """Engine map with the curves at 5, 15 and 20 % throttle, identified by least squares.
 
     Runs and parameters files go to `root`. Each curve is valid between the lowest and the highest
     engine speed of its samples.

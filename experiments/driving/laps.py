@@ -1,4 +1,4 @@
-"""The same lap on several sets of parameters: what identification buys, for one seed."""
+"""The same lap on several sets of parameters, for one seed of the study."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from miho.study import single_thread, write_text
 
 LAPS = "laps.json"
 PART = (0.4, 0.95)
-"""Throttle over which the paper has the dyno alone, but for what saturates."""
+"""Throttle above which the paper has only dyno data, except near saturation."""
 LOW_DYNO = 0.9
-"""What a dyno that reads low shows from 30 % throttle on, over what the engine gives in the car."""
+"""Ratio of the torques from a dyno that reads low, above 30 % throttle, and in the car."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """Parameters for planner and controllers, as `method` identifies them; None: the truth."""
+    """Parameters for planner and controllers, identified by `method`; None: the truth."""
 
     name: str
     method: str | None
@@ -64,13 +64,13 @@ VARIANTS = (
     Variant("MIHO, dyno 10 % low", "miho", dyno=LOW_DYNO),
     Variant("the same, learned to 100 %", "miho", extended=True, dyno=LOW_DYNO),
 )
-"""The last three ask whether learning the engine above 40 % throttle, where the paper has the dyno
-alone, explains its speed error: with a dyno that is right, and with one that is not."""
+"""The last three test whether identifying the engine above 40 % throttle, where the paper has only
+dyno data, explains its speed error: with a correct dyno, and with a dyno that reads low."""
 
 
 @dataclass(frozen=True)
 class SeedJob:
-    """One seed of the study: the configuration in YAML, the code's digest, where its files go."""
+    """One seed of the study: configuration in YAML, digest of the code, and folder of its files."""
 
     setting: str
     code: str
@@ -79,7 +79,7 @@ class SeedJob:
 
 
 def laps_of(job: SeedJob) -> list[dict[str, Any]]:
-    """Identify from one seed's measurements, drive a lap on each variant; a row for each."""
+    """Identify from the measurements of one seed and drive a lap on each variant; one row each."""
     register()
     cfg = cast(DictConfig, OmegaConf.create(job.setting))
     folder = Path(job.folder)
@@ -95,7 +95,7 @@ def laps_of(job: SeedJob) -> list[dict[str, Any]]:
 
 
 def stored_laps(job: SeedJob) -> list[dict[str, Any]] | None:
-    """The rows of a job that was done before by the same code and settings; None without them."""
+    """Stored rows of a job with the same code and settings; None without them."""
     try:
         stored = json.loads(Path(job.folder, LAPS).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
@@ -104,7 +104,7 @@ def stored_laps(job: SeedJob) -> list[dict[str, Any]] | None:
 
 
 def variant_car(cfg: DictConfig, variant: Variant, folder: Path, seed: int) -> KnownCar:
-    """The car with the parameters of a variant."""
+    """Car with the parameters of a variant."""
     _, _, vehicle = track_and_vehicle(cfg)
     if variant.method is None:
         return KnownCar.of_tires(vehicle, embedded_tires(), embedded_engine(), EMBEDDED_BRAKE)
@@ -120,9 +120,9 @@ def variant_car(cfg: DictConfig, variant: Variant, folder: Path, seed: int) -> K
 
 
 def lap(cfg: DictConfig, car: KnownCar, seed: int) -> tuple[Drive, Driver]:
-    """A drive of `drive.distance`, begun at the speed that the plan has there.
+    """Drive of `drive.distance` from the planned speed at the start.
 
-    The sensors' noise is that of the seed, the same for every variant.
+    The seed draws the noise of the sensors, which is the same for every variant.
     """
     road, line, vehicle = track_and_vehicle(cfg)
     driver = driver_of(cfg, car, line)
@@ -135,14 +135,14 @@ def lap(cfg: DictConfig, car: KnownCar, seed: int) -> tuple[Drive, Driver]:
 
 
 def lap_results(drive: Drive, driver: Driver, settings: DictConfig) -> dict[str, float | str]:
-    """What a lap with the settings of `drive` came to.
+    """Results of a lap with the settings of `drive`.
 
     lap_time [s], unless the car stopped; largest e_y [m] and e_psi [rad].
-    speed_error [m/s]: root mean square of driven less desired speed; part_throttle: the same where
-    the throttle is between 40 % and 95 %, as the engine's inverse map has it. margin [-]: 1 less
-    the largest use of the true tires' friction, negative beyond it.
+    speed_error [m/s]: root mean square of driven minus desired speed; part_throttle: the same while
+    the inverse engine map gives a throttle between 40 % and 95 %. margin [-]: 1 minus the largest
+    use of the friction of the true tires, negative beyond it.
     """
-    brake = replace(driver.speed, brake=EMBEDDED_BRAKE)  # the plant's, for the use of its tires
+    brake = replace(driver.speed, brake=EMBEDDED_BRAKE)  # of the plant, for the use of its tires
     error, friction = drive["vx"] - drive["v_des"], settings.road_friction
     part = (drive["u_throttle"] > PART[0]) & (drive["u_throttle"] < PART[1])
     remaining = settings.distance - float(drive["distance"][-1])
@@ -159,12 +159,12 @@ def lap_results(drive: Drive, driver: Driver, settings: DictConfig) -> dict[str,
 
 
 def _finish(drive: Drive, remaining: float) -> float:
-    """The lap time [s], where the `remaining` distance [m] is driven at the last speed."""
+    """Lap time [s]; the `remaining` distance [m] is driven at the last speed."""
     return float(drive["time"][-1] - drive["time"][0] + remaining / drive["vx"][-1])
 
 
 def _identify(cfg: DictConfig, seed: int, folder: Path) -> None:
-    """One folder of parameters files for each method, from the same measurements."""
+    """Write a folder of parameters files for each method, from the same measurements."""
     _, _, vehicle = track_and_vehicle(cfg)
     openings = LOW_OPENINGS + HIGH_OPENINGS
     rng = np.random.default_rng([seed, 0])
@@ -179,7 +179,7 @@ def _identify(cfg: DictConfig, seed: int, folder: Path) -> None:
 
 
 def methods_of(cfg: DictConfig) -> dict[str, Optimizer]:
-    """The methods of `comparison.methods`, by name."""
+    """Methods of `comparison.methods`, by name."""
     methods = {}
     for name, settings in cfg.comparison.methods.items():
         setting = composed([f"optimizer={name}"])
@@ -189,13 +189,13 @@ def methods_of(cfg: DictConfig) -> dict[str, Optimizer]:
 
 
 def spaces() -> dict[str, Space]:
-    """The spaces that parts are searched in which driving shows."""
+    """Spaces of the parts that are identified from driving."""
     return {name: build_space(plain(composed([f"space={name}"]))["space"]) for name in SPACES}
 
 
 @lru_cache(maxsize=1)
 def _recordings(vehicle: Vehicle, openings: tuple[float, ...]) -> dict[str, tuple[Recording, ...]]:
-    """What happens on the proving ground, which no seed changes."""
+    """Recordings on the proving ground, which are the same for all seeds."""
     plant = embedded_plant(vehicle)
     return {
         name: tuple(perform(plant, manoeuvre) for manoeuvre in manoeuvres)

@@ -1,4 +1,4 @@
-"""What a drive leaves in its root: logs, figure, table, and what made them."""
+"""Files of a drive in its root: logs, figure, table and provenance."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from miho.study import write_text
 def write_drive(
     cfg: DictConfig, drive: Drive, driver: Driver, road: Track, parts: Parts
 ) -> Departure | None:
-    """The log and what sensors showed of it as CSV, the figure, the table, and what made them.
+    """Write the log and the sensor log as CSV, the figure, the table, and their provenance.
 
-    Gives how the car left the road, if it did.
+    Returns how the car left the road, or None.
     """
     root = Path(cfg.drive.output)
     root.mkdir(parents=True, exist_ok=True)
@@ -78,9 +78,9 @@ def _figure(
     note: str,
     beyond: str,
 ) -> Figure:
-    """Fig. 7 over time, or Fig. 8 over distance, marked where the car left the road.
+    """Fig. 7 over time, or Fig. 8 over distance, with a mark if the car left the road.
 
-    beyond: how the car used more friction than was planned, in words, "" if it did not.
+    `beyond` is text on the use of more friction than planned; "" if there was none.
     """
     if cfg.drive.figure == "fig7":
         mark = (
@@ -100,7 +100,7 @@ def _figure(
 
 
 def _passing(cfg: DictConfig, log: pd.DataFrame) -> float | None:
-    """When the car is beside the obstacle [s], if there is one."""
+    """Time [s] at which the car passes the obstacle; None without one."""
     if cfg.drive.obstacle.sight is None:
         return None
     passed = log["distance"] >= cfg.drive.obstacle.s - cfg.drive.start

@@ -1,4 +1,4 @@
-"""The node `drive` of a configuration: its road, line, vehicle and driver, and the drive itself."""
+"""The node `drive` of a configuration: road, line, vehicle and driver, and the drive."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from miho.driving.velocity_as_printed import PrintedPlanner
 OVALS = {"ims": ims, "lvms": lvms}
 FACTORS = {
     "performance_factor": "the share of the tires' grip that the plan uses",
-    "road_friction": "what the road gives, over the road on which the tires were measured",
+    "road_friction": "the friction of the road, relative to the road of the tire measurements",
 }
 EQUATIONS = ("corrected", "printed", "printed_plan", "printed_steering")
-"""Both as printed, Eq. 10-12 with the load transfer alone, or Eq. 13-15 alone."""
+"""All as printed, only Eq. 10-12 with the load transfer, or only Eq. 13-15."""
 LEAST_FACTOR, LARGEST_FACTOR = 0.05, 1.5
-"""A car on wet ice, and one on tires half as good again as they are known."""
+"""Wet ice, and tires with half as much grip again as known."""
 
 
 def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
-    """The road, the line that is driven on it, and the vehicle."""
+    """The road, the driven line, and the vehicle."""
     keys = [field.name for field in fields(DriveConfig)]
     for key in cfg.drive:
         if key not in keys:
@@ -78,7 +78,7 @@ def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
 
 
 def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
-    """The driver that `drive` describes, for a line and what is known of the car."""
+    """Driver that `drive` describes, for a line and a known car."""
     settings = _mapping(cfg.drive.controller)
     weights, period = Weights(**settings["weights"]), settings["period"]
     mu, top_speed = cfg.drive.performance_factor, cfg.drive.top_speed
@@ -112,7 +112,7 @@ def driven(
     line: Track,
     watch: Callable[[float], object] | None = None,
 ) -> Drive:
-    """The drive that `drive` describes, begun at its arc length and speed on a line."""
+    """Simulate the drive that `drive` describes, from its arc length and speed on a line."""
     plant = embedded_plant(driver.speed.vehicle, road_of(road, cfg.drive.road_friction))
     gear = driver.speed.start(cfg.drive.speed).gear
     at = road.project(*map(float, line.position(cfg.drive.start)))
@@ -123,7 +123,7 @@ def driven(
 
 
 def factors_text(cfg: DictConfig) -> str:
-    """The two factors of `drive`, its reserve, and its equations unless corrected, for figures."""
+    """Text for figures: the two factors of `drive`, its reserve, and its equations if printed."""
     reserve = f" with a reserve of {cfg.drive.reserve:g}" if cfg.drive.reserve else ""
     text = (
         f"performance factor {cfg.drive.performance_factor:g}{reserve}, "
@@ -136,13 +136,13 @@ def factors_text(cfg: DictConfig) -> str:
 def _mapping(node: DictConfig) -> dict[str, Any]:
     plain = OmegaConf.to_container(node, resolve=True)
     if not isinstance(plain, Mapping):
-        raise ConfigError(f"{node!r} is not a mapping; expected settings by name")
+        raise ConfigError(f"{node!r} is not a mapping; give settings by name")
     return {str(key): value for key, value in plain.items()}
 
 
 @contextmanager
 def as_config_error() -> Iterator[None]:
-    """What the library finds wrong with settings is bad input, in its own words."""
+    """Convert a ValueError of the library about settings to ConfigError."""
     try:
         yield
     except (ConfigError, CSVError):

@@ -1,4 +1,4 @@
-"""The seeds of a study of laps: what is to be done, doing it in workers, and its table."""
+"""The seeds of a study of laps: its jobs, their execution in workers, and its table."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TIME_LIMIT = 1800.0
 
 
 def write_study(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None:
-    """The laps, their table as text and CSV, the figure, and what made them."""
+    """Write the laps, their table as text and CSV, the figure, and their provenance."""
     laps = pd.DataFrame(rows)
     laps["variant"] = pd.Categorical(laps["variant"], [variant.name for variant in VARIANTS])
     laps = laps.sort_values(["variant", "seed"]).reset_index(drop=True)
@@ -52,7 +52,7 @@ def write_study(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None
 
 
 def check_study(cfg: DictConfig) -> None:
-    """Everything that can be wrong before the first seed."""
+    """Raise ConfigError for bad settings before the first seed."""
     track_and_vehicle(cfg)
     repetitions, workers = cfg.comparison.repetitions, sweep_settings(cfg.sweep).workers
     if repetitions < 1:
@@ -61,8 +61,8 @@ def check_study(cfg: DictConfig) -> None:
         raise ConfigError(f"sweep.workers: is {workers}; a study of drives runs on this machine")
     if cfg.drive.sensitivity is None:
         raise ConfigError(
-            "drive.sensitivity: is null; expected a number, which drives do not tell as property "
-            "data do"
+            "drive.sensitivity: is null; expected a number, because drives do not determine it as "
+            "property data do"
         )
     missing = [method for method in NEEDED if method not in cfg.comparison.methods]
     if missing:
@@ -70,7 +70,7 @@ def check_study(cfg: DictConfig) -> None:
 
 
 def jobs_of(cfg: DictConfig, root: Path) -> list[SeedJob]:
-    """A job per seed; its setting leaves out how many seeds there are, and the root."""
+    """One job per seed, whose configuration leaves out the number of seeds and the root."""
     setting: dict[str, Any] = {
         part: OmegaConf.to_container(cfg[part], resolve=True) for part in ("drive", "budget")
     }
@@ -86,7 +86,7 @@ def jobs_of(cfg: DictConfig, root: Path) -> list[SeedJob]:
 
 
 def each_seed(jobs: list[SeedJob], processes: int) -> Iterator[list[dict[str, Any]] | str]:
-    """The rows of each job, stored or computed in worker processes; or a line why it has none."""
+    """Rows of each job, stored or computed in worker processes, or a line with the reason."""
     waiting: deque[SeedJob] = deque()
     for job in jobs:
         stored = stored_laps(job)
