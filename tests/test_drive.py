@@ -188,7 +188,7 @@ def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
         ("drive.performance_factor=nan", "drive.performance_factor: is nan; expected 0.05 to 1.5"),
         (
             "drive.road_friction=0",
-            "drive.road_friction: is 0; expected 0.05 to 1.5, the friction of the road",
+            "drive.road_friction: is 0; expected 0.05 to 1.5, the friction",
         ),
     ],
 )

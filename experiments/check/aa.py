@@ -1,13 +1,13 @@
-"""One method under two names: statistics that find a difference here find one anywhere.
+"""One method under two names: correct statistics must not find a difference.
 
 python -m experiments.check.aa [METHOD]
 
 Runs the method (default pso_constriction) 20 times on each problem of the arena, on two cores in
-some four minutes. Runs with even and odd seeds go by the names A and B. Exits with 1 if Wilcoxon's
-test over problems separates them at p < 0.05, or the interval of their speed ratio does not hold 1.
+about four minutes. Runs with even and odd seeds are named A and B. Exits with 1 if Wilcoxon's test
+over problems separates them at p < 0.05, or if the interval of their speed ratio excludes 1.
 
-Seeds are fixed, so that this has one outcome and repeats it: it finds a gross fault of the
-statistics, and is no test of their level of 5 %, for which many such pairs would have to be drawn.
+Seeds are fixed, so the result is always the same. The check finds gross faults of the statistics.
+It does not test their level of 5 %, which would need many such pairs.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""What the brake models are worth: round trips, recovered parameters, a law from a driving log.
+"""Accuracy of the brake models: round trips, recovered parameters, a law from a driving log.
 
     python -m experiments.check.brake [FOLDER]
 
-The embedded brake test is identified by multi-start least squares and compared with the brake
-that made it. The driving log is av21_putnam in FOLDER, else in MIHO_DATA_DIR, else in
-../shared/data beside the checkout; without it that part is left out. Its law is linear, so the
-fit is ordinary least squares. Samples of one braking are not independent: beside the standard
-errors of independent samples stand intervals of a bootstrap over whole brakings.
+The embedded brake test is identified by multistart least squares and compared with the true brake.
+The driving log is av21_putnam in FOLDER, else in MIHO_DATA_DIR, else in ../shared/data next to the
+checkout; without it, that part is left out. Its law is linear, so the fit is ordinary least
+squares. Samples of one braking are not independent; the table therefore has the standard errors of
+independent samples, and intervals of a bootstrap over whole brakings.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ RESPONSE = ("delay", "tau_rise", "tau_fall")
 
 
 def embedded_test() -> tuple[pd.DataFrame, Brake]:
-    """All parameters beside the true ones, and the brake they make."""
+    """All parameters with the true values, and the resulting brake."""
     fits = [
         fit("brake_pressure", {name: getattr(EMBEDDED_BRAKE, name) for name in CURVE}),
         fit("brake_torque", {"K": EMBEDDED_BRAKE.K_front, "P0": EMBEDDED_BRAKE.P0_front}),
@@ -81,7 +81,7 @@ def embedded_test() -> tuple[pd.DataFrame, Brake]:
 
 
 def true_law() -> dict[str, float]:
-    """The embedded car's c_p, c_v, c_0, from its brake and resistances."""
+    """Coefficients c_p, c_v, c_0 of the embedded car, from its brake and resistances."""
     high, low = (float(EMBEDDED_BRAKE.force_of_pressure(p)) for p in (2e6, 1e6))
     offset = low - (high - low)
     return {
@@ -92,7 +92,7 @@ def true_law() -> dict[str, float]:
 
 
 def fit(dataset: str, true: dict[str, float], *overrides: str) -> pd.DataFrame:
-    """Parameters by least squares with their standard errors, beside the true ones."""
+    """Parameters by least squares with standard errors and true values."""
     experiment = build(composed([f"dataset={dataset}", "optimizer=least_squares", *overrides]))
     problem = experiment.problem
     record = minimize(experiment.optimizer, problem, experiment.budget)
@@ -123,13 +123,13 @@ def standard_errors(jacobian: Array, residuals: Array) -> Array:
 
 
 def bias(dataset: Dataset) -> float:
-    """Front share of both pressures: the slope of the rear over the front one, through zero."""
+    """Share of the front pressure, from the slope of the rear over the front pressure through 0."""
     front, rear = dataset["p"], dataset["p_rear"]
     return float(1 / (1 + rear @ front / (front @ front)))
 
 
 def round_trips(identified: Brake) -> None:
-    """Force to command to force, of the model alone and against the true brake."""
+    """Print the errors of force to command to force, of the model and against the true brake."""
     forces, model_error, error = round_trip_errors(identified)
     largest = forces[-1]
     print("\nRound trip force -> command -> force")
@@ -147,7 +147,7 @@ def round_trips(identified: Brake) -> None:
 
 
 def round_trip_errors(identified: Brake) -> tuple[Array, Array, Array]:
-    """Forces [N] (n,), and relative errors of what comes back: from the model, the true brake."""
+    """Forces [N] (n,), and relative errors after a round trip of the model and the true brake."""
     largest = min(EMBEDDED_BRAKE.largest_force, identified.largest_force)
     forces = np.geomspace(1e-3 * largest, largest, 20_000)
     command = identified.command(forces)
@@ -210,7 +210,7 @@ def driving(path: Path) -> None:
 
 
 def law(source: str, selection: str, log: DrivingLog, **settings: float) -> dict[str, object]:
-    """One row: estimates, naive standard errors and intervals, over the known law."""
+    """Row with estimates, naive standard errors and intervals, relative to the known law."""
     samples = braking_samples(log, **settings)
     inputs = samples["p"], samples["vx"]
     A = BrakeDeceleration().jacobian(np.zeros(3), *inputs)
@@ -242,13 +242,13 @@ def law(source: str, selection: str, log: DrivingLog, **settings: float) -> dict
 
 
 def delayed(log: DrivingLog, late: float) -> dict[str, Array]:
-    """The channels with the pressure as it is some seconds after its command."""
+    """Channels with the pressure `late` seconds after its command."""
     time = log["time"]
     return dict(log.channels) | {"brake": np.interp(time - late, time, log["brake"])}
 
 
 def best_lag(first: Array, second: Array) -> int:
-    """By how many samples the second of two signals lags the first."""
+    """Number of samples by which the second signal lags the first."""
     return max(range(60), key=lambda lag: correlation(first, second, lag))
 
 

@@ -21,7 +21,7 @@ WORDS = 40
 
 
 def near_zero(function: Callable[[Any], Any], limit: Any, below: str) -> Callable[[Any], Any]:
-    """A function that is its limit where it cannot be computed for cancellation."""
+    """The function, replaced by its limit near zero, where cancellation would spoil it."""
     return lambda x: limit if abs(x) < mpf(below) else function(x)
 
 
@@ -32,7 +32,7 @@ def log_ratio(z: Any) -> Any:
 
 
 def polynomials() -> dict[str, tuple[Callable[[Any], Any], Any, Any, int]]:
-    """The functions to approximate, where, and by how many coefficients."""
+    """Functions to approximate, their intervals, and the numbers of coefficients."""
     third, half_log, eighth = mpf(2) / 3, log(2) / 2, (pi / 4) ** 2
     log_end = ((sqrt(2) - 1) / (sqrt(2) + 1)) ** 2
     wider = 1 + mpf("1e-4")  # reductions are rounded
@@ -62,7 +62,7 @@ def polynomials() -> dict[str, tuple[Callable[[Any], Any], Any, Any, int]]:
 
 
 def interpolated(function: Callable[[Any], Any], low: Any, high: Any, count: int) -> list[float]:
-    """The coefficients of the polynomial that is the function at `count` Chebyshev nodes."""
+    """Coefficients of the polynomial that interpolates the function at `count` Chebyshev nodes."""
     middle, half = (low + high) / 2, (high - low) / 2
     nodes = [middle + half * cos(pi * (2 * k + 1) / (2 * count)) for k in range(count)]
     powers = mp.matrix([[node**j for j in range(count)] for node in nodes])
@@ -83,7 +83,7 @@ def as_sum(value: Any, bits: tuple[int, ...]) -> list[float]:
 
 
 def constants() -> dict[str, list[float]]:
-    """Constants as sums of doubles. A whole number of 20 bits times one of 33 is exact."""
+    """Constants as sums of doubles; the product of integers of 20 and 33 bits is exact."""
     return {
         "LN2": as_sum(log(2), (32, 0)),
         "LN10_INVERSE": as_sum(1 / log(10), (0, 0)),
@@ -97,7 +97,7 @@ def constants() -> dict[str, list[float]]:
 
 
 def words_of_two_over_pi() -> list[str]:
-    """The first bits of 2 / pi behind the point, behind two words of zeros."""
+    """The first fractional bits of 2 / pi, after two words of zeros."""
     with mp.workdps(32 * WORDS // 3):
         whole = int(mp.floor(mp.ldexp(2 / pi, 32 * WORDS)))
     return ["0u", "0u"] + [f"{whole >> 32 * k & 0xFFFFFFFF:#010x}u" for k in reversed(range(WORDS))]

@@ -1,29 +1,29 @@
-"""How often the 95 % intervals hold the truth, on synthetic tire data.
+"""Coverage of 95 % intervals on synthetic tire data.
 
-python -m experiments.check.coverage [--bootstrapped 500]   # with it half an hour
+python -m experiments.check.coverage [--bootstrapped 500]   # with bootstrap half an hour
 python -m experiments.check.coverage --correlation 0.8 [--bootstrapped 500]
 python -m experiments.check.coverage --noises [--sets 200]  # linear models, other dependence
 python -m experiments.check.coverage --curvature 1.4 0.0 [--bootstrapped 500] [--replicates 200]
 
-Each data set has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise:
-size, parameters and noise of the authors' sample data, tire A. Intervals are linearised and by
-profile likelihood on all sets, by bootstrap on the first ones.
+Each dataset has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise, with
+the size, parameters and noise of the authors' sample data of tire A. Linearised intervals and
+profile likelihood are computed on all datasets, the bootstrap on the first ones.
 
-With a correlation the rows are in the order of a drive: the slip angle swings one and a half times
-through its range, and the noise is autoregressive, of the first order and a third of the size. The
-intervals are then those that a report gives, which takes rows for dependent where it finds that
-neighbours are alike; before them those that take them for independent.
+With a correlation, the rows are in the order of a drive: the slip angle swings one and a half times
+through its range, and the noise is autoregressive of first order with a third of the size. The
+intervals are then the intervals of a report, which treats rows as dependent if it finds that
+neighbours are correlated. The first rows of the table treat the rows as independent.
 
-`--noises` is of linear models, whose estimates need no search, on noise of several kinds: for each
-the least and the most often that a parameter is held, as if rows were independent and as a report
-gives it, and how many times as wide its intervals are (medians). Columns of the models: a quadratic
-drift, the derivatives of the tire's force over that drive (swing), and at random slip angles.
+`--noises` uses linear models, whose estimates need no search, on several kinds of noise. The table
+has the lowest and the highest coverage of the parameters, for rows taken as independent and as in a
+report, and the ratio of the interval widths (medians). The columns of the models are a quadratic
+drift, and the derivatives of the tire's force over that drive (swing) and at random slip angles.
 
-`--curvature C E` is of the Magic Formula with curvature E, which several optima fit within the
-noise: 161 slip angles, evenly within 0.8 rad, B = 5.385, D = 1, and noise of 2 % of D. `miho.fit`
-searches each set from no start, and prints linearised intervals; those of the report are about its
-optimum, which may be a better one. "alone" are the intervals of the best optimum without the
-others. The last line says how often the report names several optima.
+`--curvature C E` uses the Magic Formula with curvature E, for which several optima fit within the
+noise: 161 slip angles, evenly spaced within 0.8 rad, B = 5.385, D = 1, and noise of 2 % of D.
+`miho.fit` searches each dataset without a starting point and prints linearised intervals. The
+report's intervals are about its optimum, which may be better. "alone" are the intervals of the best
+optimum without the other optima. The last line gives how often the report names several optima.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ NOISE = 391.33
 ROWS = 300
 FEW = 100
 SETTLING = 500
-"""Values of a noise before its first row, so that it is stationary."""
+"""Number of noise values before the first row, so that the noise is stationary."""
 NOISES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "white": ((1.0,), (1.0,)),
     "AR(1) 0.3": ((1.0, -0.3), (1.0,)),
@@ -64,11 +64,11 @@ NOISES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "AR(2) 0.5, 0.35": ((1.0, -0.5, -0.35), (1.0,)),
     "MA(5) equal": ((1.0,), (1.0,) * 6),
 }
-"""Poles and zeros of each noise, as `scipy.signal.lfilter` takes them."""
+"""Denominator and numerator of each noise, as in `scipy.signal.lfilter`."""
 SLIP = np.linspace(-0.8, 0.8, 161)
 STIFFNESS, LITTLE = 5.385, 0.02
 CURVED = {"B": (1, 30), "C": (0.5, 3), "D": (0.1, 3), "E": (-10, 1)}
-"""The box in which the curve with curvature is searched; a tire has E up to 1."""
+"""Box of the curve with curvature; a tire has E up to 1."""
 DESIGNS = ("drift", "swing", "random")
 LENGTHS = (60, 300, 3000)
 SPACE = Space(
@@ -83,7 +83,7 @@ SPACE = Space(
 
 
 def synthetic(number: int, correlation: float = 0.0) -> CurveFit:
-    """The fit to one synthetic data set; with a correlation, to one of a drive."""
+    """Fit to a synthetic dataset; with a correlation, to a dataset of a drive."""
     rng = stream("coverage", number)
     if correlation:
         alpha = 0.3 * np.sin(3 * np.pi * np.arange(ROWS) / ROWS)
@@ -105,7 +105,7 @@ def autoregressive(correlation: float, rows: int, rng: np.random.Generator) -> A
 
 
 def intervals(problem: CurveFit, replicates: int, dependent: bool) -> dict[str, Array]:
-    """Intervals (5, 2) of each kind; the search starts at the truth, as a global one would end."""
+    """Intervals (5, 2) of each kind; the search starts at the truth instead of a global search."""
     report = make_report(problem, refit(problem, TRUTH).theta, replicates=replicates, profiles=True)
     by_kind = {"for independent rows": report.at.independent.intervals()} if dependent else {}
     for kind in ("linearised", "profile", "bootstrap"):
@@ -116,7 +116,7 @@ def intervals(problem: CurveFit, replicates: int, dependent: bool) -> dict[str, 
 
 @dataclass(frozen=True)
 class LinearModel(Model):
-    """The sum of its inputs times a parameter each."""
+    """The sum of the inputs, each times a parameter."""
 
     columns: int
 
@@ -154,7 +154,7 @@ def design(kind: str, rows: int, rng: np.random.Generator) -> Array:
 
 
 def linear_fit(X: Array, noise: Array) -> tuple[CurveFit, Array]:
-    """The fit of columns (N, d) to noise (N,), of which all true parameters are 0; its optimum."""
+    """Fit of columns (N, d) to noise (N,), with true parameters 0, and its optimum."""
     model = LinearModel(X.shape[1])
     columns = {**dict(zip(model.inputs, X.T, strict=True)), "y": noise}
     data = Dataset("linear", columns, dict.fromkeys(columns, "-"), "y")
@@ -163,7 +163,7 @@ def linear_fit(X: Array, noise: Array) -> tuple[CurveFit, Array]:
 
 
 def curved(C: float, E: float, number: int, replicates: int) -> tuple[dict[str, Array], bool]:
-    """Intervals (4, 2) of each kind of a curve with curvature; whether it has several optima."""
+    """Intervals (4, 2) of each kind for a curve with curvature; whether it has several optima."""
     rng = stream("coverage", "curvature", number)
     force = magic_formula(SLIP, STIFFNESS, C, 1.0, E) + LITTLE * rng.standard_normal(SLIP.size)
     fit = miho.fit(magic_formula, SLIP, force, CURVED, seed=number)
@@ -176,7 +176,7 @@ def curved(C: float, E: float, number: int, replicates: int) -> tuple[dict[str, 
 
 
 def ends_of(report: Report, kind: str) -> Array:
-    """The ends (d, 2) of a report's intervals of a kind."""
+    """Ends (d, 2) of the intervals of a kind in a report."""
     return report.parameters[[f"{kind} low", f"{kind} high"]].to_numpy()
 
 
@@ -186,7 +186,7 @@ def magic_formula(x: Array, B: float, C: float, D: float, E: float) -> Array:
 
 
 def curvature(C: float, E: float, sets: int, bootstrapped: int, replicates: int) -> str:
-    """Coverage of the curve with curvature, and how often it has several optima."""
+    """Table of the coverage for the curve with curvature, and how often it has several optima."""
     truth, several = np.array([STIFFNESS, C, 1.0, E]), 0
     hits: dict[str, list[NDArray[np.bool_]]] = {}
     for number in tqdm(range(sets), desc="data sets", disable=None):
@@ -221,7 +221,7 @@ def held(name: str, kind: str, rows: int, sets: int) -> dict[str, object]:
 
 
 def noises(sets: int) -> pd.DataFrame:
-    """Coverage of linear models on each kind of noise, as the head of this file describes it."""
+    """Coverage of linear models on each kind of noise, as described in the module docstring."""
     cases = [(name, kind, rows) for name in NOISES for kind in DESIGNS for rows in LENGTHS]
     return pd.DataFrame([held(*case, sets) for case in tqdm(cases, disable=None)])
 
@@ -229,7 +229,7 @@ def noises(sets: int) -> pd.DataFrame:
 def coverage(
     sets: int, bootstrapped: int, replicates: int, correlation: float = 0.0
 ) -> pd.DataFrame:
-    """Share of sets whose interval holds the truth, a row per kind and number of sets."""
+    """Share of datasets whose interval contains the truth, one row per kind and number of sets."""
     hits: dict[str, list[NDArray[np.bool_]]] = {}
     for number in tqdm(range(sets), desc="data sets", disable=None):
         problem = synthetic(number, correlation)
@@ -242,7 +242,7 @@ def coverage(
 def shares(
     hits: Mapping[str, Sequence[NDArray[np.bool_]]], names: Sequence[str], sizes: Sequence[int]
 ) -> pd.DataFrame:
-    """How often each parameter was held, for each kind in its first data sets."""
+    """Coverage of each parameter, for each kind in its first datasets."""
     rows = []
     for kind, held in hits.items():
         for n in sorted({min(size, len(held)) for size in sizes}):
@@ -256,7 +256,7 @@ def shares(
 
 
 def main() -> None:
-    """Print the coverage of each parameter with its own 95 % interval."""
+    """Print the coverage of each parameter with a 95 % interval."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--sets", type=int, default=500)
     parser.add_argument("--bootstrapped", type=int, default=100)

@@ -1,10 +1,10 @@
-"""How well curves and map of the engine are identified, and where a cubic can be.
+"""Accuracy of the identified curves and map of the engine, and the best that a cubic can reach.
 
     python -m experiments.check.engine [FOLDER]
 
-First the embedded data, whose truth is known: the three learned curves, and the map with and
+First, the embedded data, whose truth is known: the three identified curves, and the map with and
 without them. Then, if there is a measured engine in the folder engine of FOLDER (else of
-MIHO_DATA_DIR, else of ../shared/data beside the checkout), what the best cubic leaves of it.
+MIHO_DATA_DIR, else of ../shared/data next to the checkout), the residuals of the best cubic.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def closed_form(omega: Array, torque: Array) -> tuple[Array, float]:
 
 
 def curves(engine: IdentifiedEngine) -> pd.DataFrame:
-    """A row per learned curve: errors [Nm], and how far from the closed form it is."""
+    """One row per identified curve: errors [Nm], and the distance from the closed form."""
     rows = []
     for throttle, curve in engine.curves.items():
         omega, torque = engine.samples(throttle)

@@ -1,13 +1,13 @@
-"""Our expected running times against iohinspector's, on the same export.
+"""Expected running times of MIHO and of iohinspector on the same export.
 
 python -m experiments.check.ert ROOT     # after pip install 'miho[crosscheck]'
 
 Exports the last comparison below ROOT in the IOHprofiler format, reads it with iohinspector and
 compares expected running time and success rate of every method on every problem, at four targets.
-iohinspector charges a run without success the whole budget, we what it spent: so that both mean the
-same, here each run is taken to have spent as much as the longest on its problem. The leaderboard
-does not do so: what is compared is its arithmetic, not its figures. Exits with 1 if any figure
-differs by more than 1e-12 (relative): both divide sums of whole numbers.
+iohinspector charges an unsuccessful run the whole budget; MIHO charges the evaluations that it
+used. For the comparison, each run is charged as much as the longest run on its problem. The
+leaderboard does not do so; hence the check compares its arithmetic, not its figures. Exits with 1
+if a figure differs by more than 1e-12 (relative); both divide sums of integers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PAIRS = (("ert", "ERT"), ("success", "success_ratio"))
 
 
 def main() -> None:
-    """Read the command line, export, compare."""
+    """Parse the arguments, export and compare."""
     parser = argparse.ArgumentParser(prog="python -m experiments.check.ert")
     parser.add_argument("root", type=Path, help="folder of a comparison")
     arguments = parser.parse_args()
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def largest_difference(comparison: Comparison) -> tuple[float, int]:
-    """The largest relative difference, inf where only one is finite, and how many were compared."""
+    """Largest relative difference (inf if only one is finite), and the number of comparisons."""
     metrics, manager = _iohinspector()
     runs, curves = comparison.runs.copy(), comparison.curves.copy()
     for frame in (runs, curves):

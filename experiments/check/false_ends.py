@@ -3,10 +3,11 @@
 python -m experiments.check.false_ends --instances 50 --processes 2
 python -m experiments.check.false_ends --instances 50 --families 'sine*' --set challenges=0
 
-Each instance of a family has true parameters, rows and noise of its own. A run claims if it ends by
-its evidence. It is right if its loss is at most 0.2 % above the best loss known: that of a descent
-from the true parameters, or of any run. `claims` are wrong ones and right ones together, `silent`
-runs are right without a claim. `badly` wrong ones have an error more than 6 % above the best.
+Each instance of a family has different true parameters, rows and noise. A run claims an optimum if
+it ends by evidence. It is right if its loss is at most 0.2 % above the best known loss, from a
+descent from the true parameters or from any run. `claims` counts right and wrong claims, `silent`
+counts runs that are right without a claim. A `badly` wrong run has an error more than 6 % above the
+best.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ from miho import MIHOGN, Budget, minimize
 from miho.study import single_thread
 
 RIGHT, BADLY = 2e-3, 0.06
-"""Loss above the best one up to which a run is right: a profile's interval of one parameter reaches
-3.84 in chi-squared, 2 % of it for 200 rows. And the error above the best from which it is badly
-wrong."""
+"""Largest loss above the best one for a right run (the profile interval of one parameter reaches
+3.84 in chi-squared, 2 % of it for 200 rows), and largest error above the best one that is not
+badly wrong."""
 BUDGET = Budget(evaluations=30_000)
 Job = tuple[str, int, int, int, Mapping[str, Any]]
 
 
 def run(job: Job) -> dict[str, object]:
-    """The run of a seed on an instance of a family.
+    """Make the run of a seed on an instance of a family.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def run(job: Job) -> dict[str, object]:
     Returns
     -------
     dict
-        A row of the table of all runs.
+        Row of the table of all runs.
     """
     name, draw, instance, seed, settings = job
     family = FAMILIES[name]
@@ -62,12 +63,12 @@ def run(job: Job) -> dict[str, object]:
 
 
 def judged(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs with what is right about them.
+    """Judge the runs.
 
     Parameters
     ----------
     runs : pandas.DataFrame
-        A row for each run, as `run` makes them.
+        One row per run, from `run`.
 
     Returns
     -------
@@ -84,7 +85,7 @@ def judged(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def table(runs: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """The counts of runs by these columns, and the median of their evaluations."""
+    """Counts of runs by these columns, and the median of their evaluations."""
     counts = runs.groupby(keys, sort=False)[["right", "claims", "wrong", "badly", "silent"]].sum()
     groups = runs.groupby(keys, sort=False)["evaluations"]
     counts.insert(0, "runs", groups.size())
@@ -92,16 +93,16 @@ def table(runs: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Draw, run, print."""
+    """Draw problems, run the method, print the table."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.check.false_ends",
         description=(__doc__ or "").partition("\n\n")[0],
     )
     parser.add_argument("--families", default="*", help="names of families, with wildcards")
-    parser.add_argument("--instances", type=int, default=8, help="problems of each family")
-    parser.add_argument("--seeds", type=int, default=1, help="runs on each")
-    parser.add_argument("--draw", type=int, default=0, help="the seed of the problems")
-    parser.add_argument("--processes", type=int, default=1, help="runs made at a time")
+    parser.add_argument("--instances", type=int, default=8, help="problems per family (8)")
+    parser.add_argument("--seeds", type=int, default=1, help="runs per problem (1)")
+    parser.add_argument("--draw", type=int, default=0, help="seed of the problems (0)")
+    parser.add_argument("--processes", type=int, default=1, help="simultaneous runs (1)")
     parser.add_argument(
         "--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings of miho_gn"
     )
@@ -132,7 +133,7 @@ def main() -> None:
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    """Name and value of a setting, which is a number or a word."""
+    """Name and value of a setting; the value is a number or a word."""
     name, _, value = text.partition("=")
     for kind in (int, float):
         try:

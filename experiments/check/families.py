@@ -1,7 +1,7 @@
 """Families of curves from which problems are drawn by seed: smooth ones, peaks, and periods.
 
-Each draw has parameters, rows and noise of its own. Boxes are as wide as somebody would draw them
-who knows little of the answer.
+Each draw has new parameters, rows and noise. The boxes are as wide as a user would choose them who
+knows little about the parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from miho.models import FunctionModel
 Array = NDArray[np.float64]
 Draw = tuple[list[Array], list[float], float]
 LOUDER = 0.3, 2.0
-"""The noise of a draw is that of its family times a factor between these."""
+"""Range of the factor between the noise of a draw and the noise of its family."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Family:
     box : tuple of (low, high)
         The bounds of each parameter.
     draw : callable
-        From a generator to the columns, the true parameters, and the noise.
+        A function of a generator; gives the columns, the true parameters, and the noise.
     """
 
     kind: str
@@ -56,7 +56,7 @@ class Family:
         problem : CurveFit
             The problem.
         loss : float
-            The loss where a descent from the true parameters ends.
+            The loss at the end of a descent from the true parameters.
         """
         columns, true, noise = self.draw(rng)
         names = self.formula.__code__.co_varnames[: len(columns) + len(true)]
@@ -95,13 +95,13 @@ def _scattered(rng: np.random.Generator, fewest: int, most: int, end: float) -> 
 
 
 def _pixels(rng: np.random.Generator) -> list[Array]:
-    """Two columns of the places of an image's pixels."""
+    """Two columns with the positions of the pixels of an image."""
     n = int(rng.integers(14, 30))
     return [side.ravel() for side in np.meshgrid(np.arange(n) / n, np.arange(n) / n)]
 
 
 def _decades(rng: np.random.Generator, fewest: int, most: int, low: float) -> list[Array]:
-    """A column of rows that are even in logarithm from a number to a thousand times it."""
+    """A column of rows with logarithmic spacing from `low` to a thousand times `low`."""
     return [np.geomspace(low, 1000 * low, int(rng.integers(fewest, most)))]
 
 
@@ -125,7 +125,7 @@ PERIOD = (2.0, 200.0)
 PEAK = ((0.0, 20.0), (0.0, 100.0), (0.5, 50.0))
 PHASE = (0.0, 6.3)
 FAMILIES = {
-    # Smooth curves, whose parameters act together.
+    # Smooth curves with correlated parameters.
     "two decays": Family(
         "smooth",
         lambda x, a, k, b, h, m: m + a * np.exp(-k * x) + b * np.exp(-h * x),
@@ -183,7 +183,7 @@ FAMILIES = {
             _even(r, 25, 80, 24), [10, U(r, 0.6, 2), U(r, 0.05, 0.3), U(r, 0.2, 1.5)], 0.25
         ),
     ),
-    # Peaks, steps and pulses, which have to be found where they are.
+    # Peaks, steps and pulses, whose positions must be found.
     "two peaks on a line": Family(
         "peaks",
         lambda x, m, s, a, c, w, b, d, v: m + s * x + a * _peak(x, c, w) + b * _peak(x, d, v),
@@ -271,7 +271,7 @@ FAMILIES = {
             0.3,
         ),
     ),
-    # Periods, whose loss is flat wherever a curve runs out of step.
+    # Periods, whose loss is flat if the curve is out of phase.
     "sine in noise": Family(
         "periods",
         lambda x, c, a, b, T: c + a * np.sin(2 * np.pi * x / T) + b * np.cos(2 * np.pi * x / T),

@@ -1,4 +1,4 @@
-"""How steadily the paper's gradient descent falls (Sec. V-A.3): GBO-small and GBO-large.
+"""How steadily the loss falls in the paper's gradient descent (Sec. V-A.3).
 
 python -m experiments.check.gradient_descent [--steps 1000] [--repetitions 20]    # 10 seconds
 
@@ -30,7 +30,7 @@ METHODS = ("gbo_small", "gbo_large")
 
 
 class Watched(LeastSquaresProblem):
-    """A problem that keeps the mean square of all residuals it gave, in `losses`."""
+    """A problem that records the mean square of all residuals it returns, in `losses`."""
 
     def __init__(self, problem: LeastSquaresProblem) -> None:
         self.problem, self.name, self.space = problem, problem.name, problem.space
@@ -38,17 +38,17 @@ class Watched(LeastSquaresProblem):
         self.losses: list[float] = []
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """The problem's loss, which is not kept."""
+        """The loss of the problem, which is not recorded."""
         return self.problem.loss(thetas, fidelity)
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """The problem's residuals."""
+        """The residuals of the problem."""
         residuals = self.problem.residuals(theta, fidelity)
         self.losses.append(float(np.mean(residuals**2)))
         return residuals
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """The problem's derivatives."""
+        """The derivatives of the problem."""
         return self.problem.jacobian(theta, fidelity)
 
 
@@ -61,7 +61,7 @@ def descent(optimizer: Optimizer, problem: LeastSquaresProblem, seed: int, steps
 
 
 def steadiness(steps: int, repetitions: int) -> pd.DataFrame:
-    """A row per rate, as the table of this module says."""
+    """One row per rate, as described in the module docstring."""
     rows = []
     for method in METHODS:
         run = build(composed(["dataset=tire_lf", f"optimizer={method}"]))
@@ -84,10 +84,10 @@ def steadiness(steps: int, repetitions: int) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Read the command line and print the table."""
+    """Parse the arguments and print the table."""
     parser = argparse.ArgumentParser(prog="python -m experiments.check.gradient_descent")
-    parser.add_argument("--steps", type=int, default=1000, help="of each descent")
-    parser.add_argument("--repetitions", type=int, default=20, help="runs of each rate")
+    parser.add_argument("--steps", type=int, default=1000, help="steps per descent (1000)")
+    parser.add_argument("--repetitions", type=int, default=20, help="runs per rate (20)")
     arguments = parser.parse_args()
 
     def job() -> None:

@@ -1,11 +1,11 @@
-"""A dear run that is killed again and again goes on where it was: how many evaluations that costs.
+"""Evaluations that an expensive run loses if it is killed and continued twenty times.
 
-python -m experiments.check.killed [METHOD:WORKERS ...]    # default: all, in some ten minutes
+python -m experiments.check.killed [METHOD:WORKERS ...]    # default: all, about ten minutes
 
-Each run makes 200 evaluations of 0.2 s by a function in a file, once undisturbed, and once killed
-with SIGKILL twenty times at random moments, of which some strike before its first evaluation. The
-function counts its calls. Exits with 1 if the killed run makes more than a tenth more of them, or
-finds anything else to the last bit.
+Each run makes 200 evaluations of 0.2 s with a function in a file: once undisturbed, and once killed
+with SIGKILL twenty times at random times, some of them before its first evaluation. The function
+counts its calls. Exits with 1 if the killed run makes more than 10 % more evaluations, or if its
+result differs in any bit.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from miho.optim.seeds import stream
 RUNS = ("miho:1", "miho:4", "miho_gn:1", "miho_gn:4", "pso_constriction:1", "pso_constriction:4")
 EVALUATIONS, SECONDS, KILLS, MOST = 200, 0.2, 20, 1.1
 LIMIT = 600.0
-"""Seconds after which a process hangs."""
+"""Time [s] after which a process counts as hung."""
 POLL, EARLY = 0.01, 0.25
 MODEL = f"""
 import os, time
@@ -56,20 +56,20 @@ def _count(name):
 
 
 class Calls(NamedTuple):
-    """How many evaluations were begun, and how many ended."""
+    """Number of started evaluations, and number of finished ones."""
 
     begun: int
     ended: int
 
     @classmethod
     def of(cls, folder: Path) -> Calls:
-        """As the function in a folder has counted them."""
+        """Read the counts that the function wrote to a folder."""
         paths = (folder / "begun", folder / "ended")
         return cls(*(path.stat().st_size if path.is_file() else 0 for path in paths))
 
 
 def search(folder: Path, method: str, workers: str) -> None:
-    """One run, in this process, unless it is stored; as `experiments.identify` makes it."""
+    """Execute a run in this process, unless it is stored, as `experiments.identify` does."""
     register()
     bounds = "{a: {unit: V, low: 0, high: 5}, b: {unit: 1/s, low: 0.1, high: 5}, "
     cfg = composed([
@@ -83,7 +83,7 @@ def search(folder: Path, method: str, workers: str) -> None:
 
 
 def prepared(folder: Path) -> Path:
-    """A folder with a model and data."""
+    """Write a model and data to a folder."""
     folder.mkdir()
     (folder / "decay.py").write_text(MODEL)
     t = np.linspace(0, 5, 20)
@@ -93,7 +93,7 @@ def prepared(folder: Path) -> Path:
 
 
 def started(folder: Path, method: str, workers: str) -> subprocess.Popen[bytes]:
-    """The process of a run."""
+    """Start the process of a run."""
     command = [sys.executable, "-m", "experiments.check.killed"]
     return subprocess.Popen(
         [*command, "--child", str(folder), method, workers], stderr=subprocess.DEVNULL
@@ -101,7 +101,7 @@ def started(folder: Path, method: str, workers: str) -> subprocess.Popen[bytes]:
 
 
 def result_of(folder: Path) -> dict[str, Any] | None:
-    """What a run found, without what it took; None if it is not done."""
+    """Result of a run without its cost; None if it is not finished."""
     for path in folder.glob("runs/*/*/*/result.json"):
         result = json.loads(path.read_text())
         curve = json.loads(path.with_name("curve.json").read_text())
@@ -111,7 +111,7 @@ def result_of(folder: Path) -> dict[str, Any] | None:
 
 
 def undisturbed(folder: Path, method: str, workers: str) -> float:
-    """A run that is not killed; the seconds until its first evaluation."""
+    """Make a run without kills; return the seconds until its first evaluation."""
     begun = time.perf_counter()
     process = started(folder, method, workers)
     while not Calls.of(folder).begun and process.poll() is None:
@@ -122,9 +122,9 @@ def undisturbed(folder: Path, method: str, workers: str) -> float:
 
 
 def killed(folder: Path, method: str, workers: str, first: float) -> int:
-    """A run that is killed KILLS times and then finished; how often it was killed.
+    """Make a run that is killed KILLS times and then finished; return the number of kills.
 
-    A quarter of the kills strike before the process has begun an evaluation of its own.
+    A quarter of the kills come before the first evaluation of the process.
     """
     rng = stream("killed", method, workers)
     share = EVALUATIONS * SECONDS / int(workers) / KILLS
@@ -147,7 +147,7 @@ def killed(folder: Path, method: str, workers: str, first: float) -> int:
 
 
 def check(name: str, top: Path) -> bool:
-    """Print what it costs to kill one run; whether it is as it should be."""
+    """Print the cost of killing one run; return whether the check passed."""
     method, _, workers = name.partition(":")
     plain, other = prepared(top / f"{method}-{workers}"), prepared(top / f"{method}-{workers}-k")
     first = undisturbed(plain, method, workers)
@@ -163,7 +163,7 @@ def check(name: str, top: Path) -> bool:
 
 
 def main() -> None:
-    """Check all runs, or do one as the process that is killed."""
+    """Check all runs, or execute one as the process that is killed."""
     if sys.argv[1:2] == ["--child"]:
         folder, method, workers = sys.argv[2:]
         search(Path(folder), method, workers)

@@ -1,11 +1,11 @@
-"""How well MF 6.1 lateral coefficients are identified, written, simplified and rebuilt.
+"""Accuracy of MF 6.1 lateral coefficients: identified, written to a file, simplified and rebuilt.
 
     python -m experiments.check.mf61_lateral [FOLDER]
 
 For each embedded tire, and for the MF 6.1 tire in the folder mf_reference of FOLDER (else of
-MIHO_DATA_DIR, else of ../shared/data beside the checkout) if it is there: 27 coefficients from
-3000 noisy samples (`sample_lateral`), least squares from uniform starts in conf/space/mf61_lateral,
-judged against the tire itself at loads and cambers that were not in the data.
+MIHO_DATA_DIR, else of ../shared/data next to the checkout) if it exists: 27 coefficients from 3000
+noisy samples (`sample_lateral`), least squares from uniform starting points in
+conf/space/mf61_lateral, judged against the tire at loads and cambers that were not in the data.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ LIMIT = 60  # steps of one start
 
 
 def bare(tire: MagicFormula) -> LateralMagicFormula:
-    """The model with nothing of the tire but nominal load, nominal pressure and dimensions."""
+    """The model with only the nominal load, the nominal pressure and the dimensions of the tire."""
     p = tire.parameters
     names = ("FNOMIN", "NOMPRES", "UNLOADED_RADIUS", "LONGVL")
     model = mf61_lateral({name: getattr(p, name) for name in names})
@@ -66,7 +66,7 @@ def configured_space() -> Space:
 
 
 def identification(path: Path, space: Space, starts: int = STARTS) -> dict[str, object]:
-    """Uniform starts on one tire: how many succeed, how good the best is, what it took."""
+    """Uniform starting points on one tire: successes, accuracy of the best one, and cost."""
     tire, data = load_tir(path), sample_lateral(str(path), strict=False)
     problem = CurveFit(bare(tire), data, space)
     held = data.held_out
@@ -177,7 +177,7 @@ def _reached(losses: list[float], seconds: list[float]) -> float:
 
 
 def axles() -> pd.DataFrame:
-    """Pacejka on the axles: its error, and the two stiffnesses beside the tires' own slope."""
+    """Pacejka on the axles: its error, and both stiffnesses next to the slope of the tires."""
     rows = []
     for axle, tires in {"front": ("lf", "rf"), "rear": ("lr", "rr")}.items():
         experiment = build(composed([f"dataset={axle}_axle", "optimizer=least_squares"]))

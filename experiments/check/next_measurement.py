@@ -1,11 +1,11 @@
-"""Whether advised rows narrow an interval more than random ones, by simulation on the tire.
+"""Whether advised rows narrow an interval more than random rows, by simulation on the tire.
 
 python -m experiments.check.next_measurement [--choices 100 --replicates 400]   # some minutes
 
-The present data are 100 slip angles within 0.15 rad of the tire of `experiments.check.coverage`,
-and the candidates 601 angles within 0.3 rad, of which 40 are to be measured. For the advised rows
-and for random choices of as many, data sets with fresh noise on all rows are fitted anew; what
-counts is the spread of these estimates, which knows nothing of a linearised model.
+The present data are 100 slip angles within 0.15 rad on the tire of `experiments.check.coverage`.
+The candidates are 601 angles within 0.3 rad, of which 40 can be measured. For the advised rows and
+for random choices of 40 rows, datasets with new noise on all rows are fitted. The criterion is the
+spread of these estimates, which does not rely on linearisation.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ GOALS = (ALL, "B", "C", "D", STIFFNESS)
 
 
 def synthetic(alpha: Array, rng: np.random.Generator) -> CurveFit:
-    """The fit to the tire at these slip angles [rad], with noise."""
+    """Fit to the tire at these slip angles [rad], with noise."""
     force = Pacejka().predict(TRUTH[None], alpha)[0] + NOISE * rng.standard_normal(alpha.size)
     data = Dataset("tire", {"alpha": alpha, "Fy": force}, {"alpha": "rad", "Fy": "N"}, "Fy")
     return CurveFit(Pacejka(), data, SPACE)
 
 
 def advised() -> Mapping[str, Array]:
-    """The advised slip angles [rad] for each goal, as one would ask for them after a first fit."""
+    """Advised slip angles [rad] for each goal after a first fit."""
     problem = synthetic(PRESENT, stream("next measurement", "present"))
     report = make_report(problem, TRUTH, profiles=False)
     designs = {
@@ -58,8 +58,8 @@ def advised() -> Mapping[str, Array]:
 def spreads(more: Array, replicates: int, *key: str | int) -> dict[str, float]:
     """Standard deviation of the estimates of each goal, from the present rows and `more` of them.
 
-    That of all parameters is the geometric mean over the principal axes of their covariance,
-    which is 1 if it is that of the truth's scale.
+    For all parameters, it is the geometric mean over the principal axes of their covariance in
+    units of the true parameters.
     """
     rng = stream("next measurement", *key)
     alpha = np.concatenate([PRESENT, more])
@@ -72,7 +72,7 @@ def spreads(more: Array, replicates: int, *key: str | int) -> dict[str, float]:
 
 
 def compared(choices: int, replicates: int) -> pd.DataFrame:
-    """A row per goal: spread in % of the value without more rows, with advised and random ones."""
+    """One row per goal: spread in % of its value without more rows, for advised and random rows."""
     rows = {goal: spreads(alpha, replicates, goal)[goal] for goal, alpha in advised().items()}
     drawn = stream("next measurement", "choices")
     random = pd.DataFrame(

@@ -1,12 +1,12 @@
-"""Digits of parameters and standard errors on NIST's 27 problems, beside SciPy's and lmfit's.
+"""Correct digits of parameters and standard errors on NIST's 27 problems, with SciPy and lmfit.
 
-python -m experiments.check.nist [--seed 0]   # a minute; lmfit's columns if it is installed
+python -m experiments.check.nist [--seed 0]   # a minute; columns of lmfit if it is installed
 
-Certified values are those of NIST's Statistical Reference Datasets for nonlinear regression, to
-eleven digits. The default method gets no start but a box: from a tenth of the smaller published
-start of a parameter to ten times the larger one, on a logarithmic scale; where a start is negative,
-ten times the larger size of both either way, linear, since no factor leads across zero. The others
-get the two published starts and no box.
+The certified values are from NIST's Statistical Reference Datasets for nonlinear regression, with
+eleven digits. The default method gets a box instead of a starting point: from a tenth of the
+smaller published starting value of a parameter to ten times the larger one, on a logarithmic scale.
+If a starting value is negative, the box is linear, up to ten times the larger magnitude on both
+sides of zero. The other solvers get the two published starting points and no box.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ Estimate = tuple[Array, Array]
 """Parameters (d,) and their standard errors (d,)."""
 
 BEYOND = 10.0
-"""Factor from the published starts to the ends of the box."""
+"""Factor from the published starting values to the ends of the box."""
 MOST = 11
-"""Digits that are certified."""
+"""Number of certified digits."""
 FOUND, DIGITS, ERROR_DIGITS = 2, 6, 4
-"""Digits of all parameters from which on the optimum is found, and a problem is solved; and of all
-standard errors."""
+"""Correct digits of all parameters at which the optimum is found, and at which the problem is
+solved; and correct digits of all standard errors."""
 ALIKE: Mapping[str, tuple[tuple[int, ...], ...]] = {
     "three_decays": ((0, 1), (2, 3), (4, 5)),
     "two_peaks": ((2, 3, 4), (5, 6, 7)),
     "enso": ((3, 4, 5), (6, 7, 8)),
     "osborne_1": ((1, 3), (2, 4)),
 }
-"""Terms of a formula that may change places, by the positions of their parameters."""
+"""Interchangeable terms of a formula, by the positions of their parameters."""
 
 
 def nist_names() -> list[str]:
@@ -57,7 +57,7 @@ def nist_names() -> list[str]:
 
 
 def boxed(fit: PublishedFit) -> CurveFit:
-    """A problem in the box that its published starts give."""
+    """Problem in the box from its published starting values."""
     model = PublishedModel(fit.model)
     parameters = []
     for name, starts in zip(model.parameters, zip(*fit.starts, strict=True), strict=True):
@@ -71,7 +71,7 @@ def boxed(fit: PublishedFit) -> CurveFit:
 
 
 def digits(estimate: Array, certified: Array) -> float:
-    """Digits to which the worst of the values is right, 0 to MOST."""
+    """Correct digits of the worst value, 0 to MOST."""
     error = np.max(np.abs(estimate - certified) / np.abs(certified))
     if not math.isfinite(error):
         return 0.0
@@ -79,7 +79,7 @@ def digits(estimate: Array, certified: Array) -> float:
 
 
 def judged(fit: PublishedFit, estimate: Estimate) -> tuple[float, float]:
-    """Digits of parameters and of standard errors, in the order of terms nearest to NIST's."""
+    """Correct digits of parameters and of standard errors, in the best order of terms."""
     theta, errors = estimate
     terms = ALIKE.get(fit.model, ())
     scores = []
@@ -96,7 +96,7 @@ def judged(fit: PublishedFit, estimate: Estimate) -> tuple[float, float]:
 
 
 def by_miho(fit: PublishedFit, seed: int) -> Estimate:
-    """The default method in the box, and its report's standard errors for independent rows."""
+    """Estimate by the default method in the box, with standard errors for independent rows."""
     problem = boxed(fit)
     record = minimize(MIHOGN(), problem, seed=seed)
     if record.theta is None:
@@ -106,7 +106,7 @@ def by_miho(fit: PublishedFit, seed: int) -> Estimate:
 
 
 def by_curve_fit(fit: PublishedFit, start: Array) -> Estimate:
-    """`scipy.optimize.curve_fit` as it comes: MINPACK's Levenberg-Marquardt, differences."""
+    """`scipy.optimize.curve_fit` with its defaults: MINPACK's Levenberg-Marquardt, differences."""
     curve = _curve(fit)
 
     def values(_: Array, *theta: float) -> Array:
@@ -118,7 +118,7 @@ def by_curve_fit(fit: PublishedFit, start: Array) -> Estimate:
 
 
 def by_least_squares(fit: PublishedFit, start: Array) -> Estimate:
-    """`scipy.optimize.least_squares` as it comes: trust region, differences."""
+    """`scipy.optimize.least_squares` with its defaults: trust region, differences."""
     curve = _curve(fit)
 
     def residuals(theta: Array) -> Array:
@@ -132,7 +132,7 @@ def by_least_squares(fit: PublishedFit, start: Array) -> Estimate:
 
 
 def by_lmfit(fit: PublishedFit, start: Array) -> Estimate:
-    """`lmfit.minimize` as it comes."""
+    """`lmfit.minimize` with its defaults."""
     lmfit = importlib.import_module("lmfit")
     curve, parameters = _curve(fit), lmfit.Parameters()
     names = [f"b{k + 1}" for k in range(start.size)]
@@ -158,7 +158,7 @@ def _curve(fit: PublishedFit) -> Callable[[Array], Array]:
 
 
 def table(names: list[str], seed: int = 0) -> pd.DataFrame:
-    """A row per problem; "6.1 / 4.2" are digits of parameters and of standard errors."""
+    """One row per problem; "6.1 / 4.2" are digits of parameters and of standard errors."""
     rivals = {"curve_fit": by_curve_fit, "least_squares": by_least_squares}
     if importlib.util.find_spec("lmfit"):
         rivals["lmfit"] = by_lmfit
@@ -176,7 +176,7 @@ def table(names: list[str], seed: int = 0) -> pd.DataFrame:
 def _attempt(
     fit: PublishedFit, solve: Callable[[PublishedFit, Array], Estimate], start: Array
 ) -> tuple[float, float]:
-    """What a solver reaches, (0, 0) where it gives up."""
+    """Digits that a solver reaches; (0, 0) if it fails."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
@@ -186,7 +186,7 @@ def _attempt(
 
 
 def main() -> None:
-    """Print the digits, and on how many problems there are enough."""
+    """Print the digits, and the number of problems with enough digits."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--seed", type=int, default=0)
     results = table(nist_names(), parser.parse_args().seed)
@@ -204,7 +204,7 @@ def main() -> None:
 
 
 def summary(results: pd.DataFrame) -> pd.DataFrame:
-    """On how many of the problems there are enough digits, a row per criterion."""
+    """Number of problems with enough digits, one row per criterion."""
     criteria: Mapping[str, Callable[[float, float], bool]] = {
         f"{FOUND} digits of all parameters": lambda theta, _: theta >= FOUND,
         f"{DIGITS} digits of all parameters": lambda theta, _: theta >= DIGITS,

@@ -1,12 +1,12 @@
-"""The best known optimum of each problem in conf/problem, and how well it is known.
+"""The best known optimum of each problem in conf/problem, and the evidence for it.
 
 python -m experiments.check.optima [PROBLEM ...] [--starts 1000]
 
-A problem that is linear in its parameters has a closed form. Elsewhere, SciPy's bounded
-trust-region solver descends from uniform starts, at first roughly, and then to the end where the
-rough end is near the best. Nelder and Mead's simplex, which needs no derivative, goes on from the
-ten best: it passes the kinks where a solver with derivatives stops. Exits with 1 if a recorded
-optimum is beaten by more than 1e-9 or missed by more than 1e-7 of it.
+A problem that is linear in its parameters has a closed form. Otherwise, SciPy's bounded
+trust-region solver descends from uniform starting points with a coarse tolerance, and continues
+with a fine one if the coarse end is close to the best. The simplex of Nelder and Mead continues
+from the ten best ends; it needs no derivatives and so passes kinks at which the solver stops. Exits
+with 1 if a recorded optimum is beaten by more than 1e-9 or missed by more than 1e-7 (relative).
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ Array = NDArray[np.float64]
 PROBLEMS = Path(__file__).parents[2] / "conf" / "problem"
 WORKERS = 2
 CHUNK = 10
-"""Starts per task of a worker."""
+"""Starting points per task of a worker."""
 ROUGH, FINE = 1e-6, 1e-12
-"""Tolerances of the solver; the fine one is far below what counts as agreement."""
+"""Tolerances of the solver; the fine one is far below the tolerance for agreement."""
 NEAR = 1e-2
 """Relative difference to the best rough end up to which a descent is taken to its end."""
 NEAR_EXACT = 1e6
 """The same for data without errors, as a multiple of their resolution: rough ends differ widely."""
 STEPS = 100
-"""Evaluations of one descent: beyond, it creeps over a plateau."""
+"""Largest number of evaluations of a descent; a longer one is on a plateau."""
 POLISHED = 10
 SIMPLEX = 4000
-"""Evaluations of one simplex; it is started twice, as a fresh one often finds more."""
+"""Evaluations of one simplex, which is started twice because a new simplex often gains more."""
 SAME_MINIMUM = 1e-9
-"""Relative difference of two errors that are one minimum, and by which a record is beaten."""
+"""Largest relative difference of errors in one minimum; a larger gain beats a recorded optimum."""
 APART = 1e-6
-"""Relative difference of two errors that are two minima."""
+"""Smallest relative difference of errors in two minima."""
 MISSED = 1e-7
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """The best known optimum of one problem: errors in the output's unit.
+    """The best known optimum of one problem, with errors in the unit of the output.
 
-    `agreeing` is the number of descents from `starts` starts that end in the optimum, `failed`
-    that of starts from where the model or its derivatives give no number, and `polished` that of
-    the ten simplices that end in the optimum. `second` is the next local minimum, NaN if none was
-    met. Errors below the `resolution` of exact data are one optimum.
+    `agreeing` of the descents from `starts` starting points end in the optimum; at `failed`
+    starting points the model or its derivatives are not finite. `polished` of the ten simplices end
+    in the optimum. `second` is the next local minimum, or NaN. Errors below the `resolution` of
+    exact data are one optimum.
     """
 
     name: str
@@ -97,26 +97,26 @@ class Optimum:
 
 @cache
 def problem_of(name: str) -> CurveFit:
-    """The problem of a YAML."""
+    """Problem of a YAML file."""
     register()
     return build(composed([f"problem={name}"])).problem
 
 
 def starts_of(name: str, starts: int) -> Array:
-    """Uniform starts in the unit box (starts, d), the same in every process."""
+    """Uniform starting points in the unit box (starts, d), the same in every process."""
     return stream("optima", name).random((starts, len(problem_of(name).space)))
 
 
 def thetas_of(problem: CurveFit, points: Array) -> Array:
-    """Points of the unit box (..., d) in units; the box is linear in search coordinates."""
+    """Parameters (..., d) of points in the unit box, which is linear in search coordinates."""
     low, high = problem.space.bounds
     return problem.space.clip(problem.space.decode(low + points * (high - low)))
 
 
 def least_squares_ends(name: str, points: Array, tolerance: float) -> tuple[Array, Array]:
-    """Where least squares ends from points (n, d): points (n, d), and errors (n,).
+    """Ends of least squares from points (n, d): points (n, d), and errors (n,).
 
-    The error is NaN where the model fails at the start, or its derivatives on the way.
+    The error is NaN if the model fails at the starting point, or its derivatives fail later.
     """
     problem = problem_of(name)
     low, high = problem.space.bounds
@@ -148,7 +148,7 @@ def least_squares_ends(name: str, points: Array, tolerance: float) -> tuple[Arra
 def all_least_squares_ends(
     name: str, points: Array, tolerance: float, pool: ProcessPoolExecutor
 ) -> tuple[Array, Array]:
-    """`least_squares_ends` by all workers."""
+    """`least_squares_ends` on all workers."""
     chunks = [points[i : i + CHUNK] for i in range(0, len(points), CHUNK)]
     tasks = [pool.submit(least_squares_ends, name, chunk, tolerance) for chunk in chunks]
     results = [task.result() for task in tqdm(tasks, desc=name, leave=False, disable=None)]
@@ -157,7 +157,7 @@ def all_least_squares_ends(
 
 
 def simplex_ends(name: str, points: Array) -> tuple[Array, Array]:
-    """Where the simplex ends from points (n, d): points (n, d), and errors (n,)."""
+    """Ends of the simplex from points (n, d): points (n, d), and errors (n,)."""
     problem = problem_of(name)
 
     def error(point: Array) -> float:
@@ -177,7 +177,7 @@ def simplex_ends(name: str, points: Array) -> tuple[Array, Array]:
 
 
 def error_at(problem: CurveFit, point: Array) -> float:
-    """Root of the loss at a point (d,) of the unit box; infinite where the model fails."""
+    """Root of the loss at a point (d,) of the unit box; infinite if the model fails."""
     loss = float(problem.loss(thetas_of(problem, point)[None])[0])
     return math.sqrt(loss) if math.isfinite(loss) else math.inf
 
@@ -220,9 +220,9 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
 
 
 def verdict(optimum: Optimum, recorded: float | None) -> str:
-    """How an optimum compares with the recorded error: empty if it confirms it.
+    """Difference between an optimum and the recorded error in words; empty if they agree.
 
-    Errors below the resolution are the same.
+    Errors below the resolution are equal.
     """
     if recorded is None:
         return "not recorded"
@@ -236,7 +236,7 @@ def verdict(optimum: Optimum, recorded: float | None) -> str:
 
 
 def main() -> None:
-    """Find, print and compare with the records."""
+    """Find the optima, print them and compare them with the recorded ones."""
     names = sorted(path.stem for path in PROBLEMS.glob("*.yaml"))
     parser = argparse.ArgumentParser(description="Best known optima of the problems.")
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=", ".join(names))

@@ -1,10 +1,10 @@
-"""Both field tests by the paper's equations as printed, and by the corrected ones.
+"""Both field tests with the paper's printed equations and with the corrected ones.
 
     python -m experiments.check.printed_equations [SETTING=VALUE ...]   # 4 minutes
 
-Settings are those of `experiments.drive`. Planner and controllers know the true models, so that
-only the equations differ; drive.known=identified identifies the car first. Each drive has the noise
-of the sensors of the same seed. Table and origin are written to ROOT/table.csv and
+Settings are the settings of `experiments.drive`. Planner and controllers use the true models, so
+only the equations differ; drive.known=identified identifies the car first. All drives have the same
+sensor noise. The table and its provenance are written to ROOT/table.csv and
 ROOT/printed_equations.json.
 """
 
@@ -44,7 +44,7 @@ SETTINGS = ("root=runs/printed_equations", "drive.known=truth")
 class Variant:
     """Equations of a drive, the weight R of Eq. 15, and whether Eq. 11 has its yaw term.
 
-    Of nine laps `laps` are driven, the last of them if it is one.
+    `laps` of the nine laps are driven; if it is one, the last lap.
     """
 
     name: str
@@ -66,7 +66,7 @@ VARIANTS = (
 
 
 def rows_of(test: str, settings: list[str]) -> Iterator[dict[str, object]]:
-    """A row for each variant of a field test."""
+    """One row per variant of a field test."""
     cfg = composed([f"experiment={test}", *SETTINGS, *settings])
     road, line, vehicle = track_and_vehicle(cfg)
     car, _ = known_car(cfg, vehicle)
@@ -81,7 +81,7 @@ def rows_of(test: str, settings: list[str]) -> Iterator[dict[str, object]]:
 
 
 def setting_of(cfg: DictConfig, variant: Variant, lap: float) -> DictConfig:
-    """The settings of a test with those of a variant; lap [m]: length of the line."""
+    """Settings of a test with a variant; `lap` is the length of the line [m]."""
     one = copy.deepcopy(cfg)
     if one.drive.top_speeds and variant.laps == 1:
         fastest = one.drive.top_speeds[-1]
@@ -93,7 +93,7 @@ def setting_of(cfg: DictConfig, variant: Variant, lap: float) -> DictConfig:
 
 
 def planned_by(driver: Driver, planner: PrintedPlanner) -> Driver:
-    """The driver with another printed planner in all its parts."""
+    """Driver with another printed planner in all its parts."""
     sighting = driver.sighting
     if sighting is not None:
         sighting = replace(sighting, velocity=planner)
@@ -104,7 +104,7 @@ def planned_by(driver: Driver, planner: PrintedPlanner) -> Driver:
 def results(
     cfg: DictConfig, drive: Drive, driver: Driver, clearance: Clearance
 ) -> dict[str, object]:
-    """Errors, uses and lap times until the car left the road, whole laps only if it did."""
+    """Errors, friction uses and lap times until the car left the road; then only whole laps."""
     length, left = driver.plan.line.length, departure(drive, clearance)
     whole = math.inf if left is None else left.distance // length * length
     kept = drive["distance"] < whole

@@ -1,8 +1,8 @@
-"""Writes conf/problem of the published problems: each of miho/data/published in two boxes, by rule.
+"""Write conf/problem of the published problems: each of miho/data/published in two boxes, by rule.
 
 python -m experiments.check.published_problems
 
-What stands in a file as its evidence stays; `experiments.check.optima` finds it.
+The evidence in an existing file is kept; `experiments.check.optima` finds it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ AROUND = 100.0
 """Factor from a certified value to either end of its logarithmic box."""
 SPREADS = 10.0
 LEAST_SPREAD = 0.1
-"""Of the published value itself, where the starts hardly differ from it."""
+"""Smallest spread relative to the published value, if the starting values are close to it."""
 ROUNDING = 1e-12
-"""Of the data: a smaller error comes from arithmetic, or from the digits of the data."""
+"""Relative error of the data; a smaller error is rounding, or due to the digits of the data."""
 DIGITS = 1e-6
-"""Relative error of a parameter that is known to six digits."""
+"""Relative error of a parameter with six correct digits."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Box:
 
     @property
     def yaml(self) -> str:
-        """The settings of a parameter of `conf/space`."""
+        """Settings of the parameter as in `conf/space`."""
         scale = "" if self.scale == "linear" else f", scale: {self.scale}"
         return f'{{unit: "-", low: {number(self.low)}, high: {number(self.high)}{scale}}}'
 
@@ -89,7 +89,7 @@ BOXES: Mapping[str, tuple[Callable[[PublishedFit, int], Box], str]] = {
         "the middle of these",
     ),
 }
-"""Rules for a range, with what they do."""
+"""Rules for a range, with their descriptions."""
 CHOSEN = {"nist": ("log", "starts")}
 OTHERS = ("decades", "starts")
 SOURCES = {
@@ -98,12 +98,12 @@ SOURCES = {
     "bw": "printed by Bates and Watts, or in gslnls",
     "r": "printed by R",
 }
-"""Whence an optimum is, by collection, but for that of data without errors."""
+"""Source of an optimum by collection, unless the data have no errors."""
 EXACT = "the data have no errors"
 
 
 def problems() -> dict[str, tuple[PublishedFit, str]]:
-    """Every published problem with the box that it is posed in, by its name in conf/problem."""
+    """All published problems and the names of their boxes, by name in conf/problem."""
     posed = {}
     for fit in map(published_fit, published_names()):
         for box in CHOSEN.get(fit.collection, OTHERS):
@@ -112,12 +112,12 @@ def problems() -> dict[str, tuple[PublishedFit, str]]:
 
 
 def optimum_of(fit: PublishedFit) -> float:
-    """The root of the mean square that belongs to the published sum of squares."""
+    """Root of the mean square from the published sum of squares."""
     return math.sqrt(fit.squares / len(fit.dataset))
 
 
 def resolution_of(fit: PublishedFit) -> float:
-    """The error at which the least certain parameter still has six digits, rounded down to one.
+    """Error at which the least certain parameter still has six digits, rounded down to one digit.
 
     At an error s of exact data, parameter k is off by at most s ((J'J / N)^-1_kk)^(1/2).
     """
@@ -131,7 +131,7 @@ def resolution_of(fit: PublishedFit) -> float:
 
 
 def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
-    """The file of a problem in conf/problem."""
+    """Text of the file of a problem in conf/problem."""
     rule, meaning = BOXES[box]
     model = PublishedModel(fit.model)
     size = f"{len(fit.optimum)} parameters, {len(fit.dataset)} rows. Box: {meaning}."
@@ -166,14 +166,14 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
 
 
 def evidence_in(file: Path, fit: PublishedFit) -> str:
-    """The evidence for the optimum in a problem's file, or else that of its publication."""
+    """Evidence for the optimum in the file of a problem, else from its publication."""
     if file.exists():
         return str(OmegaConf.load(file).problem.evidence)
     return SOURCES[fit.collection] if fit.squares else EXACT
 
 
 def files() -> dict[Path, str]:
-    """All files with what they hold by the rule."""
+    """Paths and texts of all files by the rule."""
     texts = {}
     for name, (fit, box) in problems().items():
         file = PROBLEMS / f"{name}.yaml"
@@ -187,14 +187,14 @@ def comment(text: str) -> list[str]:
 
 
 def number(value: float) -> str:
-    """Fourteen digits, so that neither a box nor an error shows rounding; a float for YAML."""
+    """Text of a float for YAML with fourteen digits, so that rounding does not show."""
     text = f"{value:.14g}"
     mantissa, e, exponent = text.partition("e")
     return f"{mantissa if '.' in mantissa else mantissa + '.0'}{e}{exponent}"
 
 
 def write(texts: Mapping[Path, str]) -> None:
-    """Write files, and say how many."""
+    """Write the files and print their number."""
     for file, text in texts.items():
         file.write_text(text, encoding="utf-8")
     print(f"{len(texts)} files in {PROBLEMS}")

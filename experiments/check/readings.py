@@ -1,14 +1,14 @@
-"""Under which reading of what the paper leaves open its comparison (Fig. 6) comes out.
+"""Reproduce the paper's comparison (Fig. 6) under each reading of its unspecified settings.
 
 python -m experiments.check.readings [--repetitions 20] [--workers 2] [--output FOLDER]
 
-The paper gives neither the inertia of its swarms nor bounds, the initial distribution, the units of
-the rates of gradient descent, or how its code evaluates. Each reading names stored methods, of
-conf/optimizer and conf/optimizer/readings, that stand for the paper's five. Runs that are missing
-are made, at full size: R = 10^4, eta = 5, 3000 rows. Seconds are modelled: evaluations times what
-one costs each method, which `experiments.benchmarks.interpreted` measures and writes into the same
-folder, because a busy machine changes neither. Writes the table of readings by claims, all claims
-with their intervals, the curves, and provenance.
+The paper specifies neither the inertia of its swarms nor bounds, the initial distribution, the
+units of the rates of gradient descent, or the evaluation in its code. Each reading names options of
+conf/optimizer and conf/optimizer/readings for the five methods of the paper. Missing runs are made
+at full size: R = 10^4, eta = 5, 3000 rows. Seconds are modelled as evaluations times the cost of
+one evaluation, which `experiments.benchmarks.interpreted` measures and writes to the same folder,
+so a busy machine does not change them. Writes the table of readings by claims, all claims with
+their intervals, the curves, and provenance.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ COSTS = "interpreted.csv"
 
 
 def reading(words: str, *, miho: str = "miho", swarm: str = "", descent: str = "si") -> Reading:
-    """The reading whose swarms and descents have these ends of their names."""
+    """Reading whose swarms and descents have these suffixes in their names."""
     methods = {"miho": miho}
     methods |= {name: f"{name}_{descent}" for name in ("gbo_small", "gbo_large")}
     methods |= {name: f"{name}_{swarm}".rstrip("_") for name in ("pso_100", "pso_500")}
@@ -86,7 +86,7 @@ READINGS = (
 
 
 def plan(repetitions: int, overrides: Sequence[str] = ()) -> Iterator[Request]:
-    """The runs that all readings need, method by method."""
+    """Runs of all readings, method by method."""
     names = dict.fromkeys(name for each in READINGS for name in each.methods.values())
     for name in names:
         folder = "readings/" * (CONF / "optimizer" / "readings" / f"{name}.yaml").exists()
@@ -95,7 +95,7 @@ def plan(repetitions: int, overrides: Sequence[str] = ()) -> Iterator[Request]:
 
 
 def costs_of(path: Path) -> dict[str, dict[str, float]]:
-    """For each kind of cost the seconds of an evaluation of each method."""
+    """Seconds per evaluation of each method, for each kind of cost."""
     if not path.exists():
         raise ConfigError(
             f"{path}: is missing; run python -m experiments.benchmarks.interpreted "
@@ -106,7 +106,7 @@ def costs_of(path: Path) -> dict[str, dict[str, float]]:
 
 
 def judge(comparison: Comparison, target: float, output: Path) -> None:
-    """Write tables, figure and provenance, and print the short table."""
+    """Write tables, figure and provenance; print the short table."""
     costs = costs_of(output / COSTS)
     frames = {
         each.words: frames_of(each, comparison.runs, comparison.curves, target) for each in READINGS
@@ -126,11 +126,11 @@ def judge(comparison: Comparison, target: float, output: Path) -> None:
 
 
 def main() -> None:
-    """Read the command line, make the missing runs, and judge."""
+    """Parse the arguments, make the missing runs, and judge."""
     parser = argparse.ArgumentParser(prog="python -m experiments.check.readings")
     parser.add_argument("--repetitions", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=2, help="runs at a time")
-    parser.add_argument("--root", type=Path, help="folder of runs (default: runs/paper_readings)")
+    parser.add_argument("--workers", type=int, default=2, help="simultaneous runs (2)")
+    parser.add_argument("--root", type=Path, help="folder of runs (runs/paper_readings)")
     parser.add_argument("--output", type=Path, default=OUTPUT)
     arguments = parser.parse_args()
 

@@ -2,11 +2,11 @@
 
 python -m experiments.check.replay RUN... [--workers 1] [--trust]
 
-Each run is made again from its folder: configuration, seed, and where a method decides by which
-evaluation is there first, the order in which they were (`arrivals`), whatever the workers now. What
-is compared: how it ended, best parameters and loss, the count of evaluations, rejected values, and
-every improvement that is stored. Ends with 1 if anything differs. What a budget of seconds has
-ended, another CPU or another version may differ.
+Each run is repeated from its folder, with its configuration, its seed, and, for a method whose
+decisions depend on the order in which evaluations arrive, that order (`arrivals`), with any number
+of workers. The comparison covers the outcome, best parameters and loss, the number of evaluations,
+rejected values, and all stored improvements. Exits with 1 if anything differs. Runs that a budget
+of seconds ended, and runs from another CPU or version, may differ.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from miho.study.store import read_run
 
 
 def repeated(stored: StoredRun, workers: int = 1, *, trusted: bool = False) -> RunRecord:
-    """The run of a folder, made again with the decisions that were stored."""
+    """Repeat the run of a folder with its stored decisions."""
     problem = rebuild(stored, trusted=trusted)
     optimizer = instantiate(stored_part(stored, "optimizer"), "optimizer", Optimizer)
     budget = Budget(**stored_part(stored, "budget"))
@@ -38,7 +38,7 @@ def repeated(stored: StoredRun, workers: int = 1, *, trusted: bool = False) -> R
 
 
 def differences(stored: StoredRun, record: RunRecord) -> list[str]:
-    """What differs, in words."""
+    """Differences in words."""
     now = {
         "outcome": str(record.outcome),
         "loss": record.loss,
@@ -59,7 +59,7 @@ def differences(stored: StoredRun, record: RunRecord) -> list[str]:
 
 
 def check(folders: Sequence[Path], workers: int, *, trusted: bool) -> int:
-    """A line for each run; the exit code."""
+    """Print one line per run; return the exit code."""
     code = OK
     for folder in folders:
         stored = read_run(folder)
@@ -72,7 +72,9 @@ def check(folders: Sequence[Path], workers: int, *, trusted: bool) -> int:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("runs", type=Path, nargs="+", help="folders of stored runs")
-    parser.add_argument("--workers", type=int, default=1, help="processes; whatever the run had")
-    parser.add_argument("--trust", action="store_true", help="run models in files of the user's")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes (1)")
+    parser.add_argument(
+        "--trust", action="store_true", help="allow to run the model files that a run names"
+    )
     arguments = parser.parse_args()
     run_and_exit(lambda: check(arguments.runs, arguments.workers, trusted=arguments.trust))

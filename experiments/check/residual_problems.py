@@ -1,18 +1,19 @@
-"""Writes conf/problem of two sets of least-squares problems of the literature on optimization.
+"""Write conf/problem of two published sets of least-squares problems for optimization.
 
 python -m experiments.check.residual_problems
 
 `mw_...` are the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009), `cr_...` systems of Cartis
-and Roberts (Math. Prog. Comp. 11, 2019) that exist for eight to twelve variables. A system is taken
-if its formula gives the sum of squares that they print at the start, or is in an older publication
-(`miho.models.published.cartis_roberts`). A name ends in the number of variables, and in `far` where
-the start is ten times as far from zero.
+and Roberts (Math. Prog. Comp. 11, 2019) that exist for eight to twelve variables. A system is used
+if its formula gives their printed sum of squares at the starting point, or if it is in an older
+publication (`miho.models.published.cartis_roberts`). A name ends in the number of variables, and in
+`far` if the starting point is ten times as far from zero.
 
-Both sets are unconstrained. Here each variable has a box around its start x, from x - 10 s to
-x + 10 s with s = max(1, |x|), cut where the publication keeps a variable positive.
+Both sets are unconstrained. Here, each variable has a box around its starting value x, from
+x - 10 s to x + 10 s with s = max(1, |x|), cut if the publication keeps a variable positive.
 
-The optimum that stands in a file and its evidence stay; `experiments.check.optima` finds both. The
-optimum of exact equations is 0, and an error below ARRIVED of that at the start counts as 0.
+The optimum and its evidence in an existing file are kept; `experiments.check.optima` finds both.
+The optimum of exact equations is 0; an error below ARRIVED times the error at the starting point
+counts as 0.
 """
 
 from __future__ import annotations
@@ -42,14 +43,14 @@ from miho.models import PublishedModel, ResidualSystem
 Array = NDArray[np.float64]
 
 AROUND = 10.0
-"""Half the width of a box in sizes of its start. With 10 the published optima lie inside but one:
-x9 of Watson's function of twelve variables ends at a bound, and inside where the start is far."""
+"""Half the width of a box in multiples of max(1, |x|) at the starting value x. With 10, all
+published optima but one are inside: x9 of Watson's function of twelve variables is at a bound, and
+inside for the far starting point."""
 FAR = 10.0
-"""The factor of Moré and Wild from a start to a second one."""
+"""Factor of Moré and Wild between the first and the second starting point."""
 ARRIVED = 1e-6
-"""An error below this share of the error at the start counts as zero. The smallest error of an
-optimum that is not zero is 2.5e-6 of that at the start (Watson's function of twelve variables);
-rounding leaves 1e-16."""
+"""An error below this share of the error at the starting point counts as zero. The smallest other
+optimum has 2.5e-6 of it (Watson's function of twelve variables); rounding gives 1e-16."""
 MORE_WILD: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "linear_full_rank": ((9,), (9,)),
     "linear_rank_1": ((7,), (7,)),
@@ -74,7 +75,7 @@ MORE_WILD: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "mancino": ((5, 8, 10, 12), (5, 12)),
     "heart_8": ((8,), (8,)),
 }
-"""By function the numbers of variables, and those of which there is a far start too."""
+"""Numbers of variables of each function, and the numbers that also have a far starting point."""
 FITS: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "bard": ("bard", (1.0, 1.0, 1.0)),
     "kowalik_osborne": ("mgh09", (0.25, 0.39, 0.415, 0.39)),
@@ -84,7 +85,7 @@ FITS: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "osborne_1": ("mgh17", (0.5, 1.5, 1.0, 0.01, 0.02)),
     "osborne_2": ("osborne2", (1.3, 0.65, 0.65, 0.7, 0.6, 3.0, 5.0, 7.0, 2.0, 4.5, 5.5)),
 }
-"""Functions of Moré and Wild that are published fits of ours, and the starts of these authors."""
+"""Functions of Moré and Wild that are also published fits here, and their starting points."""
 CARTIS_ROBERTS: Mapping[str, int] = {
     "argtrig": 10, "artif": 10, "arwhdne": 10, "bdvalues": 10, "bratu2d": 9, "bratu2dt": 9,
     "bratu3d": 8, "brown_almost_linear": 12, "broydn3d": 10, "broydnbd": 10, "cbratu2d": 8,
@@ -94,7 +95,7 @@ CARTIS_ROBERTS: Mapping[str, int] = {
     "msqrta": 9, "msqrtb": 9, "penlt1ne": 10, "penlt2ne": 10, "powell_singular": 12, "spmsqrt": 10,
     "vardimne": 10, "yatp1ne": 8, "yatp2ne": 8,
 }  # fmt: skip
-"""The number of variables of each: ten, or what the structure of the system allows."""
+"""Number of variables of each system: ten, or the closest that its structure allows."""
 TITLES = {
     "mw": "one of the 53 problems of More and Wild (2009)",
     "cr": "a system of CUTEst in the table of Cartis and Roberts (2019)",
@@ -103,7 +104,7 @@ TITLES = {
 
 @dataclass(frozen=True)
 class Posed:
-    """A problem: the function by name, its number of variables, and the factor of its start."""
+    """A problem: name of the function, number of variables, and factor of the starting point."""
 
     collection: str
     function: str
@@ -112,23 +113,23 @@ class Posed:
 
     @property
     def name(self) -> str:
-        """The name in conf/problem."""
+        """Name in conf/problem."""
         far = "_far" if self.factor != 1 else ""
         return f"{self.collection}_{self.function}_{self.length}{far}"
 
     @property
     def fit(self) -> PublishedFit | None:
-        """The published fit that the function is, if it is one."""
+        """Published fit of the function, or None."""
         return published_fit(FITS[self.function][0]) if self.function in FITS else None
 
     @property
     def system(self) -> ResidualSystem:
-        """The system of residuals that the function is otherwise."""
+        """System of residuals of a function without a published fit."""
         return ResidualSystem(self.function, self.length)
 
     @property
     def start(self) -> Array:
-        """Where the publication starts (n,)."""
+        """Starting point of the publication (n,)."""
         near = FITS[self.function][1] if self.function in FITS else self.system.start
         return np.asarray(self.factor * np.array(near))
 
@@ -161,14 +162,14 @@ class Posed:
 
     @property
     def resolution(self) -> float:
-        """The error below which an optimum is zero, from the near start, to one digit."""
+        """Error below which an optimum is zero, from the near starting point, to one digit."""
         error = ARRIVED * math.sqrt(np.mean(self.residuals(self.start / self.factor) ** 2))
         unit = 10.0 ** math.floor(math.log10(error))
         return float(f"{math.floor(error / unit) * unit:.0e}")
 
 
 def problems() -> Iterator[Posed]:
-    """Every problem of both sets, those of Moré and Wild in their order."""
+    """All problems of both sets; Moré and Wild in the published order."""
     for function, (near, far) in MORE_WILD.items():
         for length in near:
             yield Posed("mw", function, length)
@@ -179,7 +180,7 @@ def problems() -> Iterator[Posed]:
 
 
 def yaml_of(posed: Posed, optimum: float, evidence: str) -> str:
-    """The file of a problem in conf/problem."""
+    """Text of the file of a problem in conf/problem."""
     if posed.fit:
         parts = "published", "published"
         settings = f"dataset: {{name: {posed.fit.name}}}", f"model: {{name: {posed.fit.model}}}"
@@ -221,7 +222,7 @@ def yaml_of(posed: Posed, optimum: float, evidence: str) -> str:
 
 
 def recorded(posed: Posed, file: Path) -> tuple[float, str]:
-    """The optimum and its evidence that stand in a problem's file, else in the publication."""
+    """Optimum and evidence in the file of a problem, else from the publication."""
     if file.exists():
         problem = OmegaConf.load(file).problem
         return float(problem.optimum), str(problem.evidence)
@@ -229,7 +230,7 @@ def recorded(posed: Posed, file: Path) -> tuple[float, str]:
 
 
 def files() -> dict[Path, str]:
-    """All files with what they hold by the rule."""
+    """Paths and texts of all files by the rule."""
     texts = {}
     for posed in problems():
         file = PROBLEMS / f"{posed.name}.yaml"

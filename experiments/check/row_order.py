@@ -1,15 +1,16 @@
-"""How far the optimum of the first rows is from that of all, for several orders of the rows.
+"""Distance between the optimum of the first rows and of all rows, for several orders of the rows.
 
 python -m experiments.check.row_order [--orders 20] [--problems tire_lf,rare_load]
 
-For the first 4, 12 and 36 rows per parameter: least squares on them from the optimum of all rows,
-and how much larger the loss over all rows is there, in percent: median and, behind it, 90 % of
-`--orders` orders. `seen` is the share of orders whose first 4 rows per parameter have derivatives
-of full rank. The orders: at random; by rank, a low-discrepancy sequence over the sorted first
-input; by value, covering rows only; alternating, every second row a covering one; and the one in
-use, with sqrt(m) covering rows among m. In the synthetic problems one row in a hundred alone
-determines a parameter (rare), inputs are clustered, skewed over six decades, constant or repeat a
-few values, and the model is wrong where rows are rare (wrong). Of what it prints (20 orders):
+For the first 4, 12 and 36 rows per parameter, least squares on them starts from the optimum of all
+rows. The table has the increase of the loss over all rows at its end, in percent: the median and
+the 90 % quantile over `--orders` orders. `seen` is the share of orders whose first 4 rows per
+parameter have derivatives of full rank. The orders are: random; by rank, a low-discrepancy sequence
+over the sorted first input; by value, covering rows first; alternating, with every second row a
+covering one; and the order in use, with sqrt(m) covering rows among m. In the synthetic problems,
+one row in a hundred determines a parameter (rare), inputs are clustered, skewed over six decades,
+constant or repeat a few values, or the model is wrong where rows are rare (wrong). Some results (20
+orders):
 
                             seen at 4 d rows        median percent more loss at 36 d rows
                          rare        rare_load      rare_load   skewed    wrong    tire_lf
@@ -19,7 +20,7 @@ few values, and the model is wrong where rows are rare (wrong). Of what it print
     alternating          1.00           1.00           1.3        6.7      59.6       1.9
     in use               1.00           1.00           1.8        1.5       8.6       1.4
 
-Covering rows alone, or half of the rows, pull a model that is wrong to where there are few rows.
+If all or half of the first rows are covering rows, a wrong model fits the rare rows too closely.
 """
 
 # ruff: noqa: F722
@@ -58,7 +59,7 @@ ARENA = (
     "nan_region",
 )  # fmt: skip
 SINGULAR = 1e-6
-"""Smallest over largest singular value, of columns of length 1, below which a rank is not full."""
+"""Ratio of the singular values of columns of length 1 below which the rank is not full."""
 
 
 def by_rank(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
@@ -69,14 +70,14 @@ def by_rank(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
 
 
 def by_value(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
-    """The covering rows first."""
+    """Covering rows first."""
     order = rng.permutation(inputs[0].size)
     covering = covering_rows(inputs, order, order.size // 2, rng)
     return merged(order, covering, np.arange(covering.size))
 
 
 def alternating(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
-    """A covering row and a random one in turn."""
+    """Covering and random rows in turn."""
     order = rng.permutation(inputs[0].size)
     covering = covering_rows(inputs, order, order.size // 2, rng)
     return merged(order, covering, 2 * np.arange(covering.size))
@@ -166,7 +167,7 @@ def synthetic(name: str) -> CurveFit:
 
 
 def descended(problem: CurveFit, theta: Array, rows: Rows | slice = slice(None)) -> Array:
-    """Where bounded least squares on some rows ends from `theta` (d,)."""
+    """End of bounded least squares on some rows from `theta` (d,)."""
     low, high = problem.space.low, problem.space.high
     inputs = tuple(column[rows] for column in problem.inputs)
     output = problem.dataset[problem.dataset.output][rows]
@@ -184,7 +185,7 @@ def descended(problem: CurveFit, theta: Array, rows: Rows | slice = slice(None))
 
 
 def optimum(name: str, problem: CurveFit) -> Array:
-    """The optimum over all rows: from the truth, or the best end of screened starts."""
+    """Optimum over all rows: from the truth, or the best end from screened starting points."""
     if name in SYNTHETIC:
         return descended(problem, np.array(SYNTHETIC[name][1]))
     thetas = problem.space.decode(problem.space.initial(500))
@@ -194,7 +195,7 @@ def optimum(name: str, problem: CurveFit) -> Array:
 
 
 def full_rank(problem: CurveFit, theta: Array, rows: Rows) -> bool:
-    """Whether the derivatives of these rows tell all parameters apart."""
+    """Whether the derivatives of these rows have full rank."""
     jacobian = problem.model.jacobian(theta, *(column[rows] for column in problem.inputs))
     whole = problem.model.jacobian(theta, *problem.inputs)
     size = np.sqrt(np.mean(whole**2, axis=0) * rows.size)
@@ -205,7 +206,7 @@ def full_rank(problem: CurveFit, theta: Array, rows: Rows) -> bool:
 def figures(
     name: str, problem: CurveFit, best: Array, kind: str, orders: int
 ) -> tuple[list[bool], list[Array]]:
-    """For each order: whether its first rows have full rank, and percent more loss per subset."""
+    """For each order: whether its first rows have full rank, and the increase of the loss [%]."""
     d, least = len(problem.space), problem.loss(best[None])[0]
     full, losses = [], []
     for seed in range(orders):
@@ -217,7 +218,7 @@ def figures(
 
 
 def main() -> None:
-    """Print a line for each problem and order."""
+    """Print one line per problem and order."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--orders", type=int, default=20, help="orders of each kind")
     parser.add_argument("--problems", default=",".join((*SYNTHETIC, *ARENA)))

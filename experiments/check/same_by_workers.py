@@ -1,11 +1,11 @@
-"""Whether a run is the same to the last bit, whoever makes its evaluations.
+"""Whether a run is the same to the last bit with any kind and number of workers.
 
 python -m experiments.check.same_by_workers [--kinds threads processes dask]    # some minutes
 
-Seven methods on five problems, each by 1, 2, 4 and 8 threads, processes and workers of Dask, which
-needs the extra cluster. An evaluation sleeps for some 10 ms, so that workers make it. What is
-compared with the run without workers: how it ended, the count of evaluations, the best parameters,
-every improvement, and the rejected values. Ends with 1 if anything differs.
+Seven methods run on five problems with 1, 2, 4 and 8 threads, processes and workers of Dask (which
+needs the extra cluster). An evaluation sleeps for about 10 ms, so that workers make it. The
+comparison with the run without workers covers the outcome, the number of evaluations, the best
+parameters, all improvements, and the rejected values. Exits with 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ METHODS: Mapping[str, Optimizer] = {
 
 
 class Slow(Model):
-    """Another model, which takes its time for each row."""
+    """A model that sleeps for each row of parameters."""
 
     def __init__(self, model: Model, seconds: float) -> None:
         self.inputs, self.parameters, self.output = model.inputs, model.parameters, model.output
@@ -111,12 +111,12 @@ class SlowRosenbrock(LeastSquaresProblem):
 
 
 def decay(t: Any, *, a: Any, b: Any) -> Any:
-    """A user's function that is no formula, since it branches."""
+    """A user's function that cannot be traced as a formula, because it branches."""
     return a * np.exp(-b * t) if b > 0 else 0.0 * t
 
 
 def problems(seconds: float) -> Mapping[str, Problem]:
-    """The problems, whose evaluations take so many seconds."""
+    """Problems whose evaluations take `seconds`."""
     rng = stream("same by workers", "data")
     alpha = np.linspace(-0.2, 0.2, 60)
     force = Pacejka().predict(TRUTH[None], alpha)[0] + 50 * rng.standard_normal(60)
@@ -144,21 +144,21 @@ def problems(seconds: float) -> Mapping[str, Problem]:
 
 @contextmanager
 def opened(kind: str, count: int) -> Iterator[Any]:
-    """So many workers of a kind."""
+    """Context with `count` workers of a kind."""
     with ExitStack() as stack:
         if kind == "threads":
             yield stack.enter_context(ThreadPoolExecutor(count))
         elif kind == "processes":
             yield stack.enter_context(ProcessExecutor(count))
         else:
-            from miho.parallel.cluster import cluster  # which needs the extra `cluster`
+            from miho.parallel.cluster import cluster  # needs the extra `cluster`
 
             client: Any = stack.enter_context(cluster(f"dask:{count}"))
             yield client.get_executor(pure=False)
 
 
 def differences(alone: RunRecord, record: RunRecord) -> list[str]:
-    """What differs between two runs."""
+    """Differences between two runs."""
     same = {
         "outcome": alone.outcome is record.outcome and alone.error == record.error,
         "evaluations": alone.evaluations == record.evaluations,
@@ -172,7 +172,7 @@ def differences(alone: RunRecord, record: RunRecord) -> list[str]:
 
 
 def compared(kinds: list[str], counts: list[int], evaluations: int) -> pd.DataFrame:
-    """A row per run: what differs from the one without workers, and what workers evaluated."""
+    """One row per run: differences from the run without workers, and evaluations by workers."""
     budget, rows = Budget(evaluations=evaluations), []
     slow, quick = problems(SECONDS), problems(0.0)
     runs = [(method, problem) for problem in slow for method in METHODS]
@@ -196,7 +196,7 @@ def compared(kinds: list[str], counts: list[int], evaluations: int) -> pd.DataFr
 
 
 def main() -> int:
-    """Print a table of what is the same; 1 if anything is not."""
+    """Print a table of equal runs; return 1 if a run differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--counts", nargs="+", type=int, default=list(COUNTS))
@@ -208,7 +208,7 @@ def main() -> int:
         index="method", columns="problem", values="same", aggfunc=lambda s: f"{s.sum()} of {s.size}"
     )
     counts = ", ".join(map(str, arguments.counts))
-    print(f"Runs that are those without workers to the last bit, by {counts} workers")
+    print(f"Runs equal to the run without workers to the last bit, with {counts} workers")
     print(f"({', '.join(arguments.kinds)}), of {arguments.evaluations} evaluations each:\n")
     print(table.to_string())
     share = runs["by workers"].sum() / runs["evaluations"].sum()

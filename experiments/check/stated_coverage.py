@@ -1,13 +1,13 @@
-"""How often 95 % intervals hold the truth where a problem has ties, priors, sigma or several parts.
+"""Coverage of 95 % intervals for problems with ties, priors, sigma or several parts.
 
 python -m experiments.check.stated_coverage [--sets 500]   # some minutes
 
-Each data set is a decay of 40 rows with normal noise. `tied`: two terms, the second rate tied to
-the first and a gap, one amplitude fixed. `ordered`: the same with the order as a constraint.
-`sigma`: rows of which half have ten times the noise, as stated. `prior`: a rate with a log-normal
-prior, from which each set's truth is drawn, beside noise that is stated or is estimated. `two sets`
-share the rate, with amplitudes of their own and unequal noise, which is stated or is estimated.
-The search of `two sets` is `fit_joint`'s own, of the others a descent from the truth.
+Each dataset is a decay of 40 rows with normal noise. `tied`: two terms, with the second rate tied
+to the first and a gap, and one amplitude fixed. `ordered`: the same with the order as a constraint.
+`sigma`: half of the rows have ten times the noise, as stated. `prior`: a rate with a log-normal
+prior, from which the truth of each dataset is drawn, with stated or estimated noise. `two sets`:
+two datasets share the rate, with different amplitudes and unequal noise, stated or estimated.
+`two sets` is searched by `fit_joint`, the other cases by a descent from the truth.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""How often 95 % intervals hold the truth where the errors' spread is uneven.
+"""Coverage of 95 % intervals if the variance of the errors is not constant.
 
 python -m experiments.check.uneven_spread [--sets 500]   # about two minutes
 
-Each data set is a decay (a, b), or a line (a, b), of normal noise: `even`; as large as a tenth of
-the `curve`; growing in proportion to `time`; or of a line that is uncertain at the `ends`, or in
-the `middle`. The search of a decay is a descent from the truth. A row is a case with a number of
-rows: the share of sets for which the linearised interval holds a and b, the same of the sandwich
-(HC3), and the share of sets of which a report notes that the spread is uneven.
+Each dataset is a decay (a, b) or a line (a, b) with normal noise: `even`; a tenth of the `curve`;
+proportional to `time`; or, for a line, larger at the `ends` or in the `middle`. The decay is
+searched by a descent from the truth. A row of the table is a case with a number of rows: the
+coverage of a and b by the linearised interval and by the sandwich (HC3), and the share of datasets
+for which a report notes uneven errors.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""What bounds that mean "none" do: four models in boxes of 10 to 1e9 times the answer.
+"""Effect of very wide bounds: four models in boxes of 10 to 1e9 times the true values.
 
 python -m experiments.check.wide_boxes --seeds 20
 
-The bounds of each parameter are 0 and a multiple of its true value; those of the tire's curvature
-are plus and minus that multiple. A run is right if its loss is at most 1e-4 above that of a descent
-from the true parameters; it claims if it ends by its evidence.
+The bounds of each parameter are 0 and a multiple of its true value; the bounds of the tire's
+curvature are plus and minus that multiple. A run is right if its loss is at most 1e-4 above the
+loss after a descent from the true parameters; it claims an optimum if it ends by evidence.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RIGHT = 1e-4
 
 
 class Curve(NamedTuple):
-    """A formula of x and then parameters, their true values, where it is measured, and the noise.
+    """A formula of x and parameters, their true values, the measured x, and the noise.
 
     Parameters named in `signed` have bounds on both sides of zero.
     """
@@ -40,7 +40,7 @@ class Curve(NamedTuple):
     signed: str = ""
 
     def fit(self, times: float) -> CurveFit:
-        """The problem in a box of so many times the true values."""
+        """Problem in a box of `times` the true values."""
         rng = np.random.default_rng(5)
         y = self.formula(self.x, *self.true) + self.noise * rng.normal(size=self.x.size)
         names = self.formula.__code__.co_varnames[1 : 1 + len(self.true)]
@@ -54,7 +54,7 @@ class Curve(NamedTuple):
         return CurveFit(FunctionModel(self.formula, columns=("x",)), data, space, compiled=True)
 
     def best(self, fit: CurveFit) -> float:
-        """The loss where a descent from the true parameters ends."""
+        """Loss at the end of a descent from the true parameters."""
         true = np.array(self.true, dtype=float)
         descent = least_squares(fit.residuals, true, x_scale=np.abs(true), ftol=1e-12, xtol=1e-12)
         return 2 * float(descent.cost) / self.x.size

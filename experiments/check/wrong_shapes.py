@@ -1,15 +1,14 @@
-"""How often a report says that a model has the wrong shape, where it has and where noise drifts.
+"""How often a report says that a model has the wrong shape, for wrong models and drifting noise.
 
 python -m experiments.check.wrong_shapes [--sets 200] [--rows 300]   # about ten minutes
 
-Rows are measured in one sweep of x from 0 to 1, or in an order at random. `right` is a line
-through a line; the other models lack something that is as large as `--size` standard deviations of
-the noise, root mean square, after the fit: a peak (of width 0.1), a curvature (a parabola), a
-saturation (from 0.7 on), or an offset (a step at the middle). The noise is autoregressive, of the
-first order. A row gives the share of data sets, in percent, for which the errors follow x by the
-test of independent rows (`before`), of which the report says that the model has the wrong shape
-(`wrong shape`; in one sweep it adds "or the measurement drifts") or that the data cannot tell that
-from noise that drifts (`cannot tell`).
+Rows are measured in one sweep of x from 0 to 1, or in random order. `right` fits a line to a line.
+The other models lack a term of `--size` standard deviations of the noise (root mean square after
+the fit): a peak (of width 0.1), a curvature (a parabola), a saturation (from 0.7 on), or an offset
+(a step in the middle). The noise is autoregressive of first order. A row of the table gives
+percentages of datasets: errors follow x by the test for independent rows (`before`); the report
+says that the model has the wrong shape (`wrong shape`; in one sweep it adds "or the measurement
+drifts"), or that the data cannot distinguish this from drifting noise (`cannot tell`).
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ ORDERS = ("sweep", "random")
 
 
 def verdicts(order: str, lacking: str, correlation: float, rows: int, size: float, n: int) -> Array:
-    """Whether errors follow x as if independent, also as dependent ones, and else, (3,)."""
+    """Whether dataset `n` counts in each of the three columns of the table, (3,)."""
     rng = stream("wrong shapes", order, lacking, str(correlation), rows, n)
     x = np.arange(rows) / (rows - 1) if order == "sweep" else rng.uniform(0, 1, rows)
     X = np.stack([np.ones(rows), x], axis=1)
@@ -60,7 +59,7 @@ def verdicts(order: str, lacking: str, correlation: float, rows: int, size: floa
 
 
 def table(sets: int, rows: int, size: float) -> pd.DataFrame:
-    """A row for each order, model and correlation."""
+    """One row per order, model and correlation."""
     cases = [(o, m, c) for o in ORDERS for m in LACKING for c in CORRELATIONS]
     lines = []
     for order, lacking, correlation in tqdm(cases, disable=None):
