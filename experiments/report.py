@@ -30,14 +30,8 @@ def main() -> int:
         prog="python -m experiments.report",
         description="Intervals, identifiability and validation of finished runs.",
     )
-    parser.add_argument(
-        "path",
-        type=root_folder,
-        help="folder of one run, or a root (all runs, best ones in detail)",
-    )
-    parser.add_argument(
-        "--bootstrap", type=int, default=0, metavar="N", help="number of replicates, e.g. 1000 (0)"
-    )
+    parser.add_argument("path", type=root_folder, help="folder of one run, or root of all runs")
+    parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="replicates (0)")
     parser.add_argument(
         "--profile", action=argparse.BooleanOptionalAction, default=None,
         help="intervals by profile likelihood (by default for up to 10 parameters)",
@@ -57,24 +51,14 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument("--rows", type=int, help="number of candidates, or --groups, to choose")
     parser.add_argument("--goal", help="parameter or derived quantity to narrow (all parameters)")
-    parser.add_argument(
-        "--groups", metavar="COLUMN", help="column that names rows to be measured together"
-    )
-    parser.add_argument(
-        "--posterior", action="store_true", help="for one run: sample the posterior (posterior.nc)"
-    )
-    parser.add_argument(
-        "--workers", type=workers, default="1",
-        help="processes for expensive refits: a number, -1 for one per core, or an address (1)",
-    )  # fmt: skip
+    parser.add_argument("--groups", metavar="COLUMN", help="column of rows to measure together")
+    parser.add_argument("--posterior", action="store_true", help="for one run: posterior.nc")
+    parser.add_argument("--workers", type=workers, default="1", help="processes for refits (1)")
     parser.add_argument("--level", type=float, default=0.95, help="level of the intervals (0.95)")
+    parser.add_argument("--trust", action="store_true", help="allow models in files to be run")
     parser.add_argument(
-        "--trust", action="store_true", help="allow to run the model files that a run names"
+        "--quick", "--no-detail", action="store_true", help="for a root: no intervals, no run pages"
     )
-    parser.add_argument(
-        "--quick", "--no-detail", action="store_true",
-        help="for a root: without intervals and without a page for each best run",
-    )  # fmt: skip
     parser.add_argument("--output", type=Path, help="folder of the pages (ROOT/reports)")
     # Options that are out of range, or do not fit the path, are refused before anything is read.
     arguments = parser.parse_args()
