@@ -127,7 +127,7 @@ class ClusterRuns:
         there = replace(request, root=str(store.root))
         self._workers.start(Errand(there, str(Path.cwd()), self._shared))
 
-    def wait(self, seconds: float) -> list[JobOutcome[Request, State | None]]:
+    def wait(self, seconds: float) -> list[JobOutcome[Request, State]]:
         """Wait at most `seconds` for a run to end; store and return the runs that have ended."""
         if self._known:
             known = list(self._known)
@@ -149,7 +149,7 @@ class ClusterRuns:
     def _knows(self, state: State) -> None:
         self._known.append(JobOutcome(state.request, state))
 
-    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State | None]:
+    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State]:
         """Store the files that a worker sent, and return the outcome for the sweep."""
         request, delivery = ended.job.request, ended.result
         reason, detail, interrupted = ended.reason, ended.detail, ended.interrupted

@@ -39,7 +39,7 @@ def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
 
 
 def seconds_of_evaluation(problem: CurveFit) -> float:
-    """Seconds of one evaluation of the loss, the fastest of several, after compilation."""
+    """Seconds of one evaluation of the loss, the fastest of several."""
     thetas = problem.space.decode(problem.space.initial(1))
     problem.loss(thetas)
     best, started = float("inf"), time.perf_counter()

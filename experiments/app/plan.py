@@ -42,8 +42,7 @@ class Request:
     """One requested run: its overrides, its configuration in JSON, and its identity.
 
     `own_code`: the model is the user's code. `lost`: the reason why the run cannot start.
-    `compile_only`: only compile the code that the run needs. `experiment`: the objects of the run,
-    if this process executes it.
+    `experiment`: the objects of the run, if this process executes it.
     """
 
     words: str

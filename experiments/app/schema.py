@@ -65,9 +65,9 @@ class ProblemConfig:
     published formula. Their results are not independent, so ranks and tests are also shown over
     families. `optimum` is the smallest known root of the loss in the space, in the unit of the
     output, and `evidence` explains it. If the data have no errors, errors below `resolution` are
-    rounding and count as equal to it in an arena. `compressed` and `threads` are the settings of
-    `miho.CurveFit` that speed up losses; methods that use residuals (`miho_gn`, least squares) do
-    not need them. `sigma` is the standard deviation of the errors, a number or a column of the
+    rounding and count as equal to it in an arena. `threads` is the setting of
+    `miho.CurveFit` that speeds up losses; methods that use residuals (`miho_gn`, least squares) do
+    not need it. `sigma` is the standard deviation of the errors, a number or a column of the
     dataset; with `sigma_known=false` it is known only up to a factor.
 
     `parts` are several datasets or outputs that are identified at once. They share the parameters
@@ -247,6 +247,7 @@ class Config:
 RENAMED = {
     "drive.mu": "is now two settings: drive.performance_factor, the share of the tires' grip that "
     "the plan uses (the paper's mu), and drive.road_friction, the friction of the road",
+    "problem.compressed": "was removed, because losses are summed over all rows; leave it out",
 }
 """Messages on settings that were renamed, by their former names."""
 

@@ -44,7 +44,7 @@ def executed_state(request: Request, execution: Execution) -> State:
     )
 
 
-def ended_state(ended: JobOutcome[Request, State | None]) -> State:
+def ended_state(ended: JobOutcome[Request, State]) -> State:
     """State that a worker returned, or the state of a run whose worker ended without a result."""
     request, reason, interrupted = ended.job, ended.reason, ended.interrupted
     if ended.result is not None:
@@ -77,12 +77,8 @@ def prepare(request: Request) -> None:
         packages_of(optimizer)
 
 
-def execute(request: Request) -> State | None:
-    """In a worker: execute a run, unless it is stored; or only compile the code that it needs."""
-    if request.compile_only:
-        experiment = experiment_of(request.setting)
-        warm_up(experiment.optimizer, experiment.problem)
-        return None
+def execute(request: Request) -> State:
+    """In a worker: execute a run, unless it is stored."""
     root = Path(request.root).absolute()  # before the user's model can change the working folder
     experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
     return executed_state(request, execution_of(experiment, quiet=True))
