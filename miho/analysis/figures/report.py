@@ -34,6 +34,11 @@ def _opacity(points: int) -> float:
     return float(np.clip(150 / points, 0.15, 0.7))
 
 
+def _size(points: int) -> float:
+    """Area of a point [pt^2]: few points are large."""
+    return float(np.clip(1200 / points, 4, 16))
+
+
 @dataclass(frozen=True)
 class Column:
     """Values (N,) with the name and unit of their axis."""
@@ -84,8 +89,8 @@ def fit_figure(
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
         ax = figure.subplots()
-        opacity = _opacity(len(measured.values))
-        style: dict[str, Any] = {"s": 4, "alpha": opacity, "linewidths": 0, "rasterized": True}
+        opacity, size = _opacity(len(measured.values)), _size(len(measured.values))
+        style: dict[str, Any] = {"s": size, "alpha": opacity, "linewidths": 0, "rasterized": True}
         if x is not None and band is not None:
             ax.scatter(x.values, measured.values, label="data", color=BLUE, **style)
             at, curve, half = band
@@ -107,7 +112,7 @@ def fit_figure(
                 label="prediction = measurement",
             )
             ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
-        for handle in ax.legend(loc="best", markerscale=2).legend_handles:
+        for handle in ax.legend(loc="best", markerscale=4 / size**0.5).legend_handles:
             if handle is not None:
                 handle.set_alpha(1)
     return figure
