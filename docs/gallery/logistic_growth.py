@@ -1,7 +1,7 @@
 """How large will a growing culture become, if it was measured only for the first half?
 
 The data end soon after the point of inflection. The interval of the curve shows how much they say
-about the plateau. The doubling time is a further quantity, `tied` to the rate, and gets its own
+about the plateau. The doubling time is a further quantity, `tied` to the rate, and has an
 error. Optical densities are simulated (seed 8), with noise of 0.02.
 """
 

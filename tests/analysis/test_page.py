@@ -102,6 +102,14 @@ def test_digits_follow_the_error(value: float, error: float, expected: str) -> N
     assert to_error(value, error) == expected
 
 
+def test_few_rows_are_drawn_larger() -> None:
+    many = np.linspace(-1, 1, 2000)
+    few = fit_figure(force, -3 * x, None, None).axes[0].collections[0]
+    dense = fit_figure(Column("Fy", "N", many), many, None, None).axes[0].collections[0]
+    assert few.get_sizes() == 16
+    assert dense.get_sizes() == 4
+
+
 def test_units_and_intervals() -> None:
     assert scaled(76719.1, "N/rad") == (1e-3, "kN/rad")
     assert scaled(300.0, "N") == (1.0, "N")
