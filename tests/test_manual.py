@@ -4,6 +4,7 @@ import re
 import shutil
 import sys
 import types
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from miho.data import embedded_tire
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-LONG = {"evidence.md"}
+API = sorted(DOCS.glob("api/*.md"))
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *API]
+LONG = {"method.md"}
 """Pages whose Python takes minutes."""
 SECONDS = {
     "add-a-method.md", "compare-models.md", "fit.md", "next-measurement.md", "trajectories.md",
@@ -62,7 +64,9 @@ def test_links_and_names_exist(page: Path) -> None:
     for target, anchor in re.findall(r"\]\((?!https:)([^)#]*)#?([^)]*)\)", text):
         linked = page.parent / target if target else page
         assert linked.exists(), target
-        if anchor:
+        if linked.parent.name == "api":
+            assert not anchor or anchor.rpartition(".")[2] in documented(linked), anchor
+        elif anchor:
             titles = re.findall(r"^#+ (.*)", linked.read_text(encoding="utf-8"), re.MULTILINE)
             assert anchor in {re.sub(r"\W+", "-", title.lower()).strip("-") for title in titles}
     for name in re.findall(r"`?(?:dataset|optimizer|space|problem)=([a-z][\w/]*)(?![\w.*])", text):
@@ -74,9 +78,23 @@ def test_links_and_names_exist(page: Path) -> None:
         assert place.is_dir() or place.with_suffix(".py").is_file(), module
 
 
+def documented(page: Path) -> list[str]:
+    """The names on a page of the API, in the order of the page."""
+    return re.findall(r"^        - (\w+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_api_documents_every_public_name_once() -> None:
+    packages = {page: re.findall(r"^::: (.+)$", page.read_text(), re.MULTILINE)[0] for page in API}
+    public = {page: set(import_module(name).__all__) for page, name in packages.items()}
+    names = [(page, name) for page in API for name in documented(page)]
+    assert all(name in public[page] for page, name in names)
+    assert sorted(name for _, name in names) == sorted(set().union(*public.values()))
+
+
 def test_the_manual_lists_every_page() -> None:
-    pages = re.findall(r": (\w[\w-]*\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
-    assert sorted(pages) == sorted(path.name for path in DOCS.glob("*.md"))
+    pages = re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    found = [*DOCS.glob("*.md"), *API]
+    assert sorted(pages) == sorted(path.relative_to(DOCS).as_posix() for path in found)
     notebooks = re.findall(r": notebooks/(\w+\.ipynb)$", (ROOT / "mkdocs.yml").read_text(), re.M)
     assert sorted(notebooks) == sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
 

@@ -280,3 +280,4 @@ CHECKS: dict[str, Callable[[Optimizer, int], None]] = {
         asks_without_side_effects,
     )
 }
+"""Checks by name; each takes an optimizer and a number of evaluations."""
