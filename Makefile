@@ -89,7 +89,7 @@ lint: $(DEVELOPED)
 	$(BIN)/mypy
 
 docs: $(DOCUMENTED)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 notebooks: $(DEVELOPED)
 	$(BIN)/python -m experiments.notebooks
