@@ -147,6 +147,16 @@ def to_markdown(frame: pd.DataFrame) -> str:
 
     Numbers have three significant digits; inf reads "never", NaN reads "-".
 
+    Parameters
+    ----------
+    frame : DataFrame
+        The table.
+
+    Returns
+    -------
+    str
+        The table in Markdown.
+
     Examples
     --------
     >>> import pandas as pd

@@ -206,18 +206,41 @@ def load_axle_samples(
 ) -> Dataset:
     """Load `axle_samples` from a driving log in a CSV file.
 
+    The slip angle follows from vx, vy, yaw_rate and steering, the force from the balances of
+    lateral force and yaw moment.
+
     Parameters
     ----------
+    path, columns, units
+        See `load_driving_log`.
     vehicle : mapping of str to float
         Fields of `SingleTrack`.
+    headers, flip, delays, steering_ratio, sensor_x, accelerometer, start, end
+        See `load_driving_log`.
+    axle : {'front', 'rear'}
+        The axle.
+    cutoff : float
+        Cutoff of the low pass [Hz]. The first and last 1 / cutoff [s] are dropped.
+    min_speed : float
+        Samples with vx below this are dropped [m/s].
+    max_ax : float, optional
+        Samples with a larger magnitude of ax are dropped [m/s^2].
     every : int
         Keep the first of every `every` samples.
     delimiter, decimal, skip_rows, drop_rows, comment
-        See `TextFormat`.
+        See `miho.data.csv.TextFormat`.
 
-    Notes
-    -----
-    See `load_driving_log` and `axle_samples` for the other parameters.
+    Returns
+    -------
+    Dataset
+        Columns alpha [rad], vx [m/s], ax [m/s^2] and the output Fy [N].
+
+    Raises
+    ------
+    CSVError
+        For a fault in the file, including gaps and times that do not increase.
+    ValueError
+        For an invalid setting, or if no sample is left.
     """
     car = from_settings(SingleTrack, vehicle)
     log = load_driving_log(

@@ -124,14 +124,40 @@ def load_braking_samples(
 
     Parameters
     ----------
+    path, columns, units, headers, flip, delays, accelerometer, start, end
+        See `load_driving_log`.
+    cutoff : float
+        Cutoff of the low pass [Hz]. The first and last 1 / cutoff [s] of each braking phase are
+        dropped, and shorter phases entirely.
+    min_pressure : float
+        Pressure above which the car is braking [Pa].
+    min_speed : float
+        Speed above which samples are used [m/s].
+    max_throttle : float
+        Largest throttle while braking [-].
+    max_lateral : float
+        Samples with larger |v_x r| are dropped [m/s^2] if yaw_rate is logged, because steered
+        wheels drag.
+    settle : float
+        Time dropped at the beginning of each phase [s], for a commanded pressure that takes longer
+        to build up.
     every : int
         Keep the first of every `every` samples.
     delimiter, decimal, skip_rows, drop_rows, comment
-        See `TextFormat`.
+        See `miho.data.csv.TextFormat`.
 
-    Notes
-    -----
-    See `load_driving_log` and `braking_samples` for the other parameters.
+    Returns
+    -------
+    Dataset
+        Columns p [Pa], vx [m/s], the output deceleration [m/s^2] (positive), t [s] and event [-],
+        the number of the phase.
+
+    Raises
+    ------
+    CSVError
+        For a fault in the file, including gaps and times that do not increase.
+    ValueError
+        For an invalid setting, or if no sample is left.
     """
     log = load_driving_log(
         path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,

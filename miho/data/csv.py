@@ -32,7 +32,17 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
 class CSVError(ValueError):
-    """A fault in a CSV file: file, line, column, problem and remedy in one line."""
+    """A fault in a CSV file: file, line, column, problem and remedy in one line.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    line, column : int
+        Position of the fault, from 1.
+    problem : str
+        The problem and the remedy.
+    """
 
     def __init__(self, path: Path, line: int, column: int, problem: str) -> None:
         name = str(path) if str(path).isprintable() else repr(str(path))
@@ -143,7 +153,7 @@ def load_csv(
     columns, units, output, headers, convention, flip, ranges, held_out, where, every
         See `miho.data.measurements.Layout`.
     delimiter, decimal, skip_rows, drop_rows, comment, missing
-        See `TextFormat`.
+        See `miho.data.csv.TextFormat`.
     name : str, optional
         Name of the dataset; by default the name of the file.
 

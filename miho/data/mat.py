@@ -83,9 +83,11 @@ def load_mat(
     ----------
     path : str
         The file.
+    columns, units, output
+        See `miho.data.measurements.Layout`.
     headers : sequence of str, optional
         Names of the variables, which are vectors of numbers, if they differ from `columns`.
-    columns, units, output, convention, flip, ranges, held_out, where, every
+    convention, flip, ranges, held_out, where, every
         See `miho.data.measurements.Layout`.
     name : str, optional
         Name of the dataset; by default the name of the file.

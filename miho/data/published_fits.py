@@ -53,6 +53,11 @@ class PublishedFit:
 def published_names() -> tuple[str, ...]:
     """Names of all published problems, in alphabetical order.
 
+    Returns
+    -------
+    tuple of str
+        The names.
+
     Examples
     --------
     >>> from miho.data import published_names

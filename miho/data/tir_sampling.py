@@ -98,6 +98,21 @@ and negative on the right; the inclination angle gamma of ISO-W is negative on b
 def embedded_tire(name: str) -> Path:
     """Path of one of the embedded tire property files: lf, rf, lr or rr.
 
+    Parameters
+    ----------
+    name : {'lf', 'rf', 'lr', 'rr'}
+        The tire: left or right, front or rear.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+
+    Raises
+    ------
+    ValueError
+        For another name.
+
     Examples
     --------
     >>> from miho.data import embedded_tire

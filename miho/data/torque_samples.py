@@ -235,8 +235,12 @@ def load_torque_samples(
 
     Parameters
     ----------
+    path, columns, units
+        See `load_driving_log`.
     vehicle : mapping of str to object
         Fields of `Longitudinal`.
+    headers, flip, delays, accelerometer, start, end
+        See `load_driving_log`.
     throttle : float, optional
         Opening [0, 1] of the samples to use; by default all.
     rules : mapping of str to float, optional
@@ -244,11 +248,19 @@ def load_torque_samples(
     every : int
         Keep the first of every `every` samples.
     delimiter, decimal, skip_rows, drop_rows, comment
-        See `TextFormat`.
+        See `miho.data.csv.TextFormat`.
 
-    Notes
-    -----
-    See `load_driving_log` for the other parameters.
+    Returns
+    -------
+    Dataset
+        The samples that `TorqueRules` selects.
+
+    Raises
+    ------
+    CSVError
+        For a fault in the file, including gaps and times that do not increase.
+    ValueError
+        For an invalid setting, or if no sample is left.
     """
     car, chosen = from_settings(Longitudinal, vehicle), _rules(rules or {})
     log = load_driving_log(

@@ -222,6 +222,7 @@ def optimal_design(
     Returns
     -------
     Design
+        The chosen rows, and the half widths to expect.
 
     Raises
     ------

@@ -125,6 +125,7 @@ def make_report(
     Returns
     -------
     Report
+        Optimum, intervals, tables and remarks.
 
     Raises
     ------

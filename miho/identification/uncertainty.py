@@ -246,6 +246,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     Returns
     -------
     Linearised
+        Covariance, standard errors and intervals.
 
     Raises
     ------

@@ -103,12 +103,14 @@ def plot_tires(
 
     Parameters
     ----------
-    samples, curves, errors
+    samples, curves
         See `fig4`.
     ax : Axes
         The panel.
     tires : sequence of str
         Tires to draw.
+    errors
+        See `fig4`.
 
     Returns
     -------
