@@ -49,7 +49,7 @@ def test_a_model_that_cannot_be_built_is_lost_alone_where_that_is_asked_for(tmp_
     path = tmp_path / "pair.py"
     path.write_text("def pair(alpha, *, B, C, D, Sx, Sy):\n    return 1.0, 2.0\n")
     words = ["model=function", f"model.path={path}", "dataset.n=40"]
-    reason = r"pair: gives shape \(2,\) for columns \(40,\)"
+    reason = r"pair: expected shape \(40,\) for columns \(40,\), got \(2,\)"
     with pytest.raises(ConfigError, match=reason):
         requests(config(tmp_path, *words), "", [0])
     runs = requests(config(tmp_path, *words), "", range(2), lose=True)

@@ -1,4 +1,4 @@
-"""Graphs written out as plain Python functions, which NumPy evaluates."""
+"""Source code of plain Python functions that evaluate graphs with NumPy."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from miho.models.symbolic import ARGUMENT, CONSTANT, OPERATIONS, Symbol, ordered
 def written(
     name: str, signature: Mapping[str, Sequence[str]], results: Sequence[Symbol], single: bool
 ) -> Callable[..., Any]:
-    """A plain function that computes results, each operation once.
+    """Return a plain function that computes the results and evaluates each operation once.
 
-    `signature` maps its arguments, which are tuples, to the names of the symbols that they hold:
-    p0 and x0 rather than a user's names, which could be those of functions. It gives the `single`
-    result, or a tuple of all.
+    `signature` maps the function's arguments, which are tuples, to the names of their symbols.
+    Symbols are called p0 or x0, because a user's names could shadow functions. The function
+    returns the `single` result, or a tuple of all results.
     """
     lines = [f"def {name}({', '.join(signature)}):"]
     lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
@@ -31,10 +31,10 @@ def written(
 
 
 def _assignments(results: Sequence[Symbol]) -> tuple[list[str], list[str]]:
-    """Lines that compute results, each operation once, and what to write for each result."""
+    """Return lines that compute the results, each operation once, and the term of each result."""
     lines: list[str] = []
     places: dict[Symbol, str] = {}
-    values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
+    values: dict[str, str] = {}  # variables by formula, so that no formula is evaluated twice
     for symbol in ordered(results):
         if symbol.operation == ARGUMENT:
             places[symbol] = symbol.arguments[0]
@@ -51,15 +51,15 @@ def _assignments(results: Sequence[Symbol]) -> tuple[list[str], list[str]]:
 
 @lru_cache(maxsize=256)
 def _function(name: str, text: str) -> Callable[..., Any]:
-    """The function of this text, made once for all fits of a model."""
+    """Return the compiled function, cached for all fits of a model."""
     names: dict[str, Any] = {"np": np}
-    exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
+    exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- generated lines
     function: Callable[..., Any] = names[name]
     return function
 
 
 def _formula(symbol: Symbol, places: Mapping[Symbol, str]) -> str:
-    """An operation as it is written; a power by a whole number, which is multiplied out, as one."""
+    """Return the formula of an operation; an integer exponent is written as an integer."""
     parts = [places[child] for child in symbol.arguments]
     if symbol.operation == "power":
         exponent = symbol.arguments[1].number
@@ -69,7 +69,7 @@ def _formula(symbol: Symbol, places: Mapping[Symbol, str]) -> str:
 
 
 def _literal(number: float) -> str:
-    """A number as it is written in a formula."""
+    """Return a number as a Python expression."""
     if math.isfinite(number):
         return f"({number!r})"
     return "np.nan" if math.isnan(number) else f"({math.copysign(1, number)!r} * np.inf)"

@@ -1,4 +1,4 @@
-"""How a plain function is called: with all rows of parameters side by side, or with each alone."""
+"""Calls of a plain function, with all rows of parameters in one batch or with one row each."""
 
 from __future__ import annotations
 
@@ -15,24 +15,27 @@ from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 COMPARED, CONFIGURATIONS = 1000, 3
-"""Rows of data that are evaluated alone and among all, and for how many rows of parameters."""
+"""Numbers of data rows and of parameter rows in the test for an elementwise function."""
 MOST_LONG = 2
-"""So many calls that take long are made in vain at most."""
+"""Largest number of long trial calls without a result."""
 TRIED = 10
-"""Rows of parameters at most for which both ways are compared."""
+"""Largest number of parameter rows for which both ways are compared."""
 ROUNDING = 1e-12
-"""Values differ by rounding if by less than this share of the largest in their row."""
+"""Tolerance of rounding errors, relative to the largest value of the row."""
 REMEDY = (
-    "with one row of parameters at a time it works; set batched to false, or write it with NumPy "
-    "functions that broadcast"
+    "calls with one row of parameters work; set batched to false, or use NumPy functions that "
+    "broadcast"
 )
 
 Columns = Sequence[Array]
 
 
 class Calls(NamedTuple):
-    """What trial calls have shown of a function: whether it is `batched`, whether `rowwise`, and
-    whether it is so `dear` that it is not called in vain; None is not known."""
+    """Results of trial calls of a function; None if unknown.
+
+    `batched` and `rowwise` are properties of the function. A `dear` function is too expensive for
+    further trial calls.
+    """
 
     batched: bool | None = None
     rowwise: bool | None = None
@@ -43,15 +46,19 @@ UNTRIED = Calls()
 
 
 class FunctionCalls:
-    """The values of `function(columns, parameters)`, which gives numbers or raises ValueError.
+    """Values of `function(columns, parameters)`, which returns numbers or raises ValueError.
 
-    Columns are (N,). Side by side, parameters are (n, 1) each and the result (n, N), or (n, 1) if
-    it is the same for all rows of data; alone, they are numbers, and the result (N,) or a number.
-    With `batched` None it is as `tried`. Where that is not known either, rows of parameters that
-    come together are evaluated alone, and if a call is cheap, once side by side too: that stays if
-    it gives the same to rounding, else it is not tried again. A row that comes alone before that is
-    evaluated so, or as (1, 1) where the function takes no numbers. So how long a call takes moves
-    results by rounding at most. `place` stands before messages.
+    Columns are (N,). In a batch, each parameter is (n, 1) and the result (n, N), or (n, 1) if it
+    is the same for all rows of data. In a call with one row, parameters are numbers, and the
+    result is (N,) or a number.
+
+    If `batched` is None, `tried` decides. If both are None, the first parameter rows that arrive
+    together are evaluated one by one and, if a call is cheap, once more as a batch. The batch is
+    kept if both ways agree up to rounding; otherwise it is not tried again. A single row that
+    arrives earlier is evaluated with numbers, or as (1, 1) if the function rejects numbers. The
+    duration of a call therefore changes results by rounding errors at most.
+
+    `place` is the prefix of messages.
     """
 
     def __init__(
@@ -66,7 +73,7 @@ class FunctionCalls:
         self.takes_numbers = False
 
     def values(self, thetas: Array, columns: Columns) -> Array:
-        """Outputs (n, N) of parameter rows (n, d), a new array."""
+        """Return the outputs (n, N) of parameter rows (n, d) as a new array."""
         if not len(thetas):
             return np.empty((0, columns[0].size))
         if self.batched is None:
@@ -79,13 +86,13 @@ class FunctionCalls:
             alone = self._each_or_none(thetas, columns)
             if alone is None:
                 raise
-            if self.automatic:  # the rows that decided were alike by chance
+            if self.automatic:  # the first rows agreed by chance
                 self.batched = False
                 return alone
             raise ValueError(f"{error}; {REMEDY}") from error
 
     def _first(self, thetas: Array, columns: Columns) -> Array:
-        """The values, while it is not known how the function takes them."""
+        """Return the values before the way of calling is known, and decide it."""
         if len(thetas) == 1:
             started = time.perf_counter()
             try:
@@ -105,7 +112,7 @@ class FunctionCalls:
                 seconds.append(time.perf_counter() - started)
             except ValueError as error:
                 failure = error
-        # The fastest call counts, since a first one may load or compile what the function needs.
+        # The fastest call counts, because the first one may load or compile something.
         if not seconds or not is_dear(min(seconds)):
             with contextlib.suppress(ValueError):
                 together = self._together(thetas, columns)
@@ -123,8 +130,8 @@ class FunctionCalls:
         n, rows = len(thetas), columns[0].size
         if values.shape not in ((n, rows), (n, 1)):
             raise ValueError(
-                f"{self.place}: gives shape {values.shape} for columns ({rows},) and parameters "
-                f"({n}, 1); expected ({n}, {rows})"
+                f"{self.place}: expected shape ({n}, {rows}) for columns ({rows},) and parameters "
+                f"({n}, 1), got {values.shape}"
             )
         return np.broadcast_to(values, (n, rows)).astype(float)
 
@@ -132,7 +139,7 @@ class FunctionCalls:
         return np.array([self._alone(theta, columns) for theta in thetas])
 
     def _each_or_none(self, thetas: Array, columns: Columns) -> Array | None:
-        """The values of each row alone, None where the function fails on one."""
+        """Return the values of calls with one row each, None if a call fails."""
         try:
             return self._each(thetas, columns)
         except ValueError:
@@ -143,15 +150,14 @@ class FunctionCalls:
         rows = columns[0].size
         if values.shape not in ((rows,), ()):
             raise ValueError(
-                f"{self.place}: gives shape {values.shape} for columns ({rows},); "
-                f"expected ({rows},)"
+                f"{self.place}: expected shape ({rows},) for columns ({rows},), got {values.shape}"
             )
         self.takes_numbers = True
         return values.astype(float) if values.shape else np.full(rows, float(values))
 
 
 def alike(first: Array, second: Array) -> bool:
-    """Whether rows (n, N) are the same to ROUNDING, with NaN and infinity in the same places."""
+    """Return whether rows (n, N) agree to ROUNDING, with NaN and infinity in the same places."""
     if np.array_equal(first, second):
         return True
     size = np.abs(np.where(np.isfinite(first), first, 0.0)).max(axis=1, initial=0.0)
@@ -162,12 +168,13 @@ def alike(first: Array, second: Array) -> bool:
 def tried_rowwise(
     predict: Callable[..., Array], thetas: Array, columns: Columns
 ) -> tuple[bool | None, bool]:
-    """Whether outputs are element by element, and whether each call takes long.
+    """Return whether outputs are elementwise, and whether each call takes long.
 
-    Some rows of the columns (N,) alone, mixed, are compared with what they give among all, at
-    parameter rows (n, d). A function that is not element by element ends that with its first two
-    calls. So does a dear one, for which they both take long: None then, as for one that fails at
-    all parameters, and for too few rows.
+    The function is called with some shuffled rows of the columns (N,), and the outputs are
+    compared with the outputs of these rows in a call with all rows, at parameter rows (n, d). The
+    first two calls suffice if the function is not elementwise or if both take long. The first
+    result is None if both take long, if the function fails at all parameters, and if there are too
+    few rows.
     """
     rows, seconds, long, compared = inner_rows(columns, COMPARED), math.inf, 0, 0
     part = [column[rows] for column in columns]
@@ -178,9 +185,9 @@ def tried_rowwise(
         among_all = _or_none(predict, theta, columns)
         took = time.perf_counter() - started
         long += is_dear(took)
-        seconds = min(took, seconds)  # a first call may load or compile something
+        seconds = min(took, seconds)  # the first call may load or compile something
         if among_all is None or not rows.size or not np.isfinite(among_all[:, rows]).any():
-            continue  # which says nothing, here
+            continue  # nothing to compare
         started = time.perf_counter()
         alone = _or_none(predict, theta, part)
         if is_dear(min(took, time.perf_counter() - started)):
@@ -199,11 +206,12 @@ def _or_none(predict: Callable[..., Array], theta: Array, columns: Columns) -> A
 
 
 def inner_rows(columns: Columns, most: int) -> NDArray[np.intp]:
-    """Up to `most` rows of the columns (N,), half of all at most, mixed and without any end.
+    """Return up to `most` shuffled rows of the columns (N,), at most half of all, without ends.
 
-    What a function makes of the first or last row, or of the least or largest value of a column,
-    it makes of others among these; a column in which most rows are at an end has none. Empty where
-    fewer than two rows are left.
+    The first and last row and the rows with the smallest or largest value of a column are left
+    out: a function that treats them specially gives other outputs for the remaining rows. A column
+    with more than half of its rows at an end does not count. The result is empty if fewer than two
+    rows remain.
     """
     inner = np.ones(columns[0].size, dtype=bool)
     inner[[0, -1]] = False

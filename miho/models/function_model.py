@@ -1,4 +1,4 @@
-"""A model made of a plain Python function, such as a user writes in a file of their own."""
+"""A model made of a plain Python function."""
 
 from __future__ import annotations
 import __future__
@@ -33,45 +33,70 @@ from miho.models.traced import TracedExpression
 from miho.quantities import Array
 
 COMPARED, CLOSE = 1000, 1e-9
-"""Rows on which a formula is compared with its function, and how close they have to be."""
-COPY = "; the columns of data are shared: copy one before it is changed, as in x = x.copy()"
+"""Rows on which a formula is compared with its function, and the relative tolerance."""
+COPY = "; columns of data are read-only: copy a column before you change it, as in x = x.copy()"
 AGREED: WeakKeyDictionary[Any, set[tuple[Formula, bytes]]] = WeakKeyDictionary()
-"""The formulas with which functions agree, and at which configurations."""
+"""Formulas that agree with a function, and the configurations of the comparison."""
 REMEMBERED = 100
-"""Configurations of a function to remember."""
+"""Largest number of remembered comparisons per function."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
 @dataclass(frozen=True)
 class FunctionModel(DifferencedModel):
-    """A function whose positional arguments are input columns, keyword-only ones parameters.
+    """Model of a function with columns as positional and parameters as keyword-only arguments.
 
-    Annotations that are strings are units, and a part without one takes any; the model is called
-    after the function:
+    String annotations are units; an argument without one accepts any unit. The model has the name
+    of the function. Columns (N,) are passed read-only. A parameter with a numeric default, or bound
+    by `functools.partial`, is fixed at this number unless the space contains it (`defaults`). An
+    argument with any other default is not a parameter. NaN and infinity are valid results, and
+    NumPy's warnings about them are silenced.
 
-        def decay(t: "s", *, a: "V", b: "1/s") -> "V":
-            return a * np.exp(-b * t)
+    Derivatives are central differences and cost two evaluations per parameter. `formula` has exact
+    derivatives if the function can be traced.
 
-    The function gets columns (N,), read-only. With `batched` it gets parameters (n, 1), so that
-    NumPy's functions give (n, N); a result (n, 1) is the same for all rows of data. With `batched`
-    false it gets one row of parameters at a time, as numbers, and gives (N,) or a number: it may
-    branch or simulate. None finds out: parameters come side by side where a call takes less than
-    ten milliseconds and gives the same either way, to rounding (`FunctionCalls`).
+    Parameters
+    ----------
+    function : callable
+        Function of columns and parameters.
+    batched : bool, optional
+        If true, parameters are arrays (n, 1) and the result has shape (n, N), or (n, 1) if it is
+        the same for all rows of data. If false, each call gets one row of parameters as numbers
+        and returns (N,) or a number, so the function may branch or simulate. By default, trial
+        calls decide: parameters are batched if a call takes less than ten milliseconds and both
+        ways agree up to rounding (see `FunctionCalls`).
+    linear : sequence of str, optional
+        Parameters in which the output is jointly linear. Only `miho.testing.check_model` verifies
+        this declaration.
+    source : Path, optional
+        File of the function, for messages and for the identity of stored runs.
+    columns : sequence of str, optional
+        Arguments that are input columns; all other arguments are parameters. Use it for functions
+        without keyword-only arguments.
+    rowwise : bool, optional
+        Whether the result for a row of data is independent of the other rows. A rowwise function
+        may be called with some of the rows. Otherwise, as for simulations and cumulative sums, it
+        always gets all rows in order. By default, `CurveFit` finds out by `tried_at`, once for all
+        processes.
+    tried : Calls, optional
+        Results of trial calls.
 
-    A `rowwise` function is element by element: what it gives for a row of data does not depend on
-    the other rows, so it may be asked for some of them. One that is not, such as a simulation or a
-    cumulative sum, always gets all rows in their order, as does one of which that is not known,
-    with None. What is None `CurveFit` finds out by `tried_at`, once for all processes.
+    Raises
+    ------
+    ValueError
+        If the signature cannot be used, or, during a call, if the function raises or returns
+        another shape.
 
-    `columns` names the arguments that are input columns, and all others are parameters, for a
-    function without keyword-only ones. A parameter with a default, or bound by `functools.partial`,
-    is fixed at that number unless the space has it (`defaults`); one with a default that is no
-    number is left to the function. `linear` names the parameters in which the output is jointly
-    linear; nobody checks it but `miho.testing.check_model`. Derivatives are central differences,
-    which count two evaluations for each parameter; `formula` has exact ones.
-
-    Raises ValueError for another signature, and where the function raises or gives another
-    shape; NaN and infinity are values like any other, so NumPy does not warn of them.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    ...     return a * np.exp(-b * t)
+    >>> model = FunctionModel(decay)
+    >>> dict(model.parameters), model.output
+    ({'a': 'V', 'b': '1/s'}, 'V')
+    >>> model.predict(np.array([[2.0, 0.0]]), np.array([0.0, 1.0]))
+    array([[2., 2.]])
     """
 
     function: Callable[..., Any]
@@ -102,22 +127,24 @@ class FunctionModel(DifferencedModel):
         defaults: dict[str, float] = {}
         for argument in signature.parameters.values():
             if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
-                raise ValueError(f"{self._place}: {argument} stands for any argument; name each")
+                raise ValueError(
+                    f"{self._place}: expected named arguments, got {argument}; name each argument"
+                )
             default = argument.default
             column = own[argument.name].kind in COLUMN and default is argument.empty
             if self.columns:
                 column = argument.name in self.columns
             if not column and default is not argument.empty:
                 if not is_number(default):
-                    continue  # a setting that is none of numbers, which stays as it is
+                    continue  # an option of the function, not a parameter
                 defaults[argument.name] = float(default)
             group = columns if column else parameters
             group[argument.name] = declared_unit(argument.annotation, source)
         output = declared_unit(signature.return_annotation, source)
         if not columns or not parameters:
             raise ValueError(
-                f"{self._place}: has {len(columns)} input columns and {len(parameters)} "
-                "parameters; expected at least one of each, parameters behind a *"
+                f"{self._place}: expected at least one input column and one parameter, got "
+                f"{len(columns)} and {len(parameters)}; declare parameters after a *"
             )
         unknown = [name for name in self.linear if name not in parameters]
         if unknown:
@@ -132,26 +159,26 @@ class FunctionModel(DifferencedModel):
         object.__setattr__(self, "linear", tuple(self.linear))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it was made of, from which it is made again."""
+        """Return the constructor's arguments, because properties are derived from them."""
         own = (self.function, self.batched, self.linear, self.source, self.columns)
         return FunctionModel, (*own, self.rowwise, self.tried)
 
     @cached_property
     def by_numbers(self) -> FunctionModel:
         """The same function, called with one row of parameters at a time, as numbers."""
-        model = object.__new__(FunctionModel)  # all else that is known of this one stays so
+        model = object.__new__(FunctionModel)  # keeps the cached properties of this model
         vars(model).update(vars(self), tried=Calls(False, False))
         vars(model).pop("_calls", None)
         return model
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]
-        """Whether it may need every row in order: unless it is known to be `rowwise`."""
+        """Whether the function may need every row in order: true unless known to be `rowwise`."""
         return not (self.tried.rowwise if self.rowwise is None else self.rowwise)
 
     @property
     def formula(self) -> FunctionFormula | None:
-        """The function as a formula of its parameters, None where it is more than arithmetic."""
+        """The function as a traced formula, None if it is more than arithmetic."""
         formula = FunctionFormula(self)
         try:
             used = arguments_of([formula.graph])
@@ -160,10 +187,11 @@ class FunctionModel(DifferencedModel):
         return formula if any(p.arguments[0] in used for p in formula.arguments) else None
 
     def formula_at(self, thetas: Array, *inputs: Array) -> Model:
-        """Its formula, if that gives what the function gives at parameter rows (n, d) and columns.
+        """Return the formula if it agrees with the function at parameter rows (n, d) and columns.
 
-        Else this model: a function may tell arrays from symbols, or not be element by element, or
-        have values where the formula has no derivatives.
+        Otherwise return this model. The two disagree if the function treats arrays and symbols
+        differently, or if it is not elementwise. The formula is also rejected if its derivatives
+        are not finite at finite values.
         """
         formula = self.formula
         if formula is None:
@@ -176,22 +204,22 @@ class FunctionModel(DifferencedModel):
             traced = formula.predict(thetas, *columns)
             agree = formula.agreed(thetas, lambda: alike(self.predict(thetas, *columns), traced))
             slopes = formula.jacobian(thetas, *columns)
-        except (Exception, NotAFormulaError):  # noqa: BLE001 -- it is called, whatever the reason
+        except (Exception, NotAFormulaError):  # noqa: BLE001 -- use the function instead
             return self
         usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(traced)
         return formula if agree and usable.all() else self
 
     def tried_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
-        """This model with what calls at parameter rows (n, d) and columns (N,) show of it.
+        """Return this model with the results of trial calls at rows (n, d) and columns (N,).
 
-        It is tried once. Of one that takes long also for some rows of data, two calls are made: it
-        gets all rows of data and one row of parameters at a time, which is never wrong.
+        Trial calls are made once. If a call takes long even for some rows of data, two calls are
+        made, and the model keeps the safe choice: all rows of data, one row of parameters.
         """
         if self.tried != UNTRIED or (self.batched is not None and self.rowwise is not None):
             return self
         rowwise, long = tried_rowwise(self.predict, thetas, inputs)
         if not long:
-            with contextlib.suppress(ValueError):  # of some configuration
+            with contextlib.suppress(ValueError):  # a configuration may fail
                 self.predict(thetas[:CONFIGURATIONS], *inputs)
         batched = self._calls.batched
         if batched is None and self._calls.takes_numbers:
@@ -199,7 +227,7 @@ class FunctionModel(DifferencedModel):
         return replace(self, tried=Calls(batched, rowwise, dear=long and rowwise is None))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
+        """Return the outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
         columns = [column.view() for column in inputs]
         for column in columns:
             column.flags.writeable = False
@@ -213,11 +241,11 @@ class FunctionModel(DifferencedModel):
         return FunctionCalls(self._call, self.batched, tried, self._place)
 
     def _call(self, columns: Sequence[Array], parameters: Any) -> NDArray[Any]:
-        """The function's result, which must be real numbers; ValueError if it is not, or raises."""
+        """Return the function's result; raise ValueError unless it returns real numbers."""
         try:
             with np.errstate(all="ignore"):
                 named = dict(zip(self.parameters, parameters, strict=True))
-                if self.columns:  # which may stand between parameters
+                if self.columns:  # columns may come between parameters
                     named |= dict(zip(self.inputs, columns, strict=True))
                     columns = ()
                 result = self.function(*columns, **named)
@@ -228,7 +256,7 @@ class FunctionModel(DifferencedModel):
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
             parts = "; return one part; miho.fit_joint fits both" * (values.dtype.kind == "c")
-            raise ValueError(f"{self._place}: gives {values.dtype}; expected real numbers{parts}")
+            raise ValueError(f"{self._place}: expected real numbers, got {values.dtype}{parts}")
         return values
 
     @property
@@ -237,32 +265,32 @@ class FunctionModel(DifferencedModel):
 
     @property
     def _called(self) -> Any:
-        """What a call of it runs: of an object its method."""
+        """The code that a call runs: the function, or the `__call__` method of an object."""
         kind = type(self._plain)
         return self._plain if isinstance(self._plain, types.FunctionType) else kind.__call__
 
     @property
     def _plain(self) -> Callable[..., Any]:
-        """The function without the arguments that a `functools.partial` of it binds."""
+        """The function without `functools.partial` around it."""
         function = self.function
         while isinstance(function, functools.partial):
             function = function.func
         return function
 
     def _at_line(self, error: Exception) -> str:
-        """A message on what the function raised, and in which line of its file."""
+        """Return a message with the error of the function and the line of its file."""
         line = line_in(error, str(self.source))
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         return f"{place} raises {type(error).__name__}: {error}{COPY * ('read-only' in str(error))}"
 
 
 def is_number(value: object) -> bool:
-    """Whether it is one real number, and no truth value."""
+    """Return whether a value is a real number, and not a bool."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
 def alike(first: Array, second: Array) -> bool:
-    """Whether outputs are the same to CLOSE, with NaN and infinity in the same places."""
+    """Return whether outputs agree to CLOSE, with NaN and infinity in the same places."""
     if np.array_equal(first, second):
         return True
     size = np.abs(first[np.isfinite(first)]).max(initial=0.0)
@@ -270,9 +298,10 @@ def alike(first: Array, second: Array) -> bool:
 
 
 def declared_unit(annotation: Any, source: bool) -> str:
-    """The unit in an annotation, "" for one that is no string.
+    """Return the unit in an annotation, "" if the annotation is not a string.
 
-    With `from __future__ import annotations` an annotation is its `source`: a string is in quotes.
+    With `from __future__ import annotations`, annotations are source text (`source` is true), so
+    a string is in quotes.
     """
     if source and isinstance(annotation, str):
         try:
@@ -284,20 +313,23 @@ def declared_unit(annotation: Any, source: bool) -> str:
 
 @dataclass(frozen=True)
 class FunctionFormula(TracedExpression):
-    """A function of arithmetic and NumPy's functions of numbers, traced once.
+    """A traced function, which consists of arithmetic and NumPy's elementwise functions.
 
-    So its derivatives are exact, its loss has fast forms, and the parameters in which it is
-    jointly linear are known, unless the function model declares them itself.
+    Its derivatives are exact and its loss has fast forms. The trace also finds the parameters in
+    which the output is jointly linear, unless the function model declares them.
     """
 
     function: FunctionModel
 
     def agreed(self, thetas: Array, compare: Callable[[], bool]) -> bool:
-        """Whether function and formula agree at parameter rows (n, d), which a process compares
-        once: many fits of a function within the same bounds pay for one comparison."""
+        """Return whether function and formula agree at parameter rows (n, d).
+
+        Each process compares once, so many fits of a function within the same bounds share one
+        comparison.
+        """
         try:
             known = AGREED.setdefault(self.function.function, set())
-        except TypeError:  # an object that has no hash, or cannot be referred to weakly
+        except TypeError:  # an object without a hash or weak references
             return compare()
         at = self.value, thetas.tobytes()
         if at not in known:
@@ -310,7 +342,7 @@ class FunctionFormula(TracedExpression):
 
     @cached_property
     def graph(self) -> Symbol:
-        """The function's result; raises NotAFormulaError for one that is no formula."""
+        """Graph of the function's result; raises NotAFormulaError if it cannot be traced."""
         named = dict(zip(self.parameters, self.arguments, strict=True))
         if self.function.columns:
             named |= dict(zip(self.inputs, self.columns, strict=True))
@@ -319,7 +351,7 @@ class FunctionFormula(TracedExpression):
 
     @cached_property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The parameters in which the function declares to be linear, or is."""
+        """The declared linear parameters, otherwise the ones found by the trace."""
         if self.function.linear:
             return self.function.linear
         return self.jointly_linear
@@ -346,11 +378,11 @@ class FunctionFormula(TracedExpression):
 
     @property
     def source(self) -> Path | None:  # type: ignore[override]
-        """The file that the function was read from."""
+        """File of the function."""
         return self.function.source
 
 
 def line_in(error: BaseException, file: str) -> int | None:
-    """The last line of `file` that an error passed through."""
+    """Return the last line of `file` in the traceback of an error, None if there is none."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     return lines[-1] if lines else None

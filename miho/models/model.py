@@ -24,18 +24,35 @@ VISIBLE = 1e-9
 class Model(ABC):
     """A pure function of input columns and a batch of parameters, in SI units and radians.
 
-    `inputs` and `parameters` map the names of what it reads to their units, in order; `output` is
-    the unit of what it gives. `linear` names parameters in which the output is jointly linear when
-    all others are held; methods that know how solve for them directly. `name` is what its problems
-    are called, the class in small letters if empty; `source` is the file of a model that does not
-    belong to this package, so that a change of it is noticed; an `ordered` model needs every row
-    of the data in order, as one with a memory does. `nominal` gives of some inputs the value that
-    the parameters refer to, as (what it is called, value): far outside of the data, their values
-    are extrapolations. `defaults` gives numbers at which parameters are fixed that a space leaves
-    out. `jacobian_cost` is how many rows of `predict` a Jacobian takes the time of:
-    None for the number of parameters, as which derivatives of a model's own count. `derived` gives
-    quantities that are reported with their intervals, by name: the unit, and a function of
-    parameter rows (n, d) with values (n,).
+    Attributes
+    ----------
+    inputs : Mapping[str, str]
+        Units of the input columns, by name, in the order of the arguments of `predict`.
+    parameters : Mapping[str, str]
+        Units of the parameters, by name, in the order of theta.
+    output : str
+        Unit of the output.
+    linear : tuple of str
+        Parameters in which the output is jointly linear if all others are fixed. Some methods
+        solve for these parameters directly.
+    name : str
+        Name of the problems with this model; if empty, the class name in lower case.
+    source : Path or None
+        File of a model that is not part of this package. A change of the file changes the identity
+        of stored runs.
+    ordered : bool
+        Whether the model needs every row of the data in order, because it has a memory.
+    nominal : Mapping[str, tuple[str, float]]
+        For some inputs, the label and the value of the reference point of the parameters. If this
+        value is far outside the data, the parameters are extrapolations.
+    defaults : Mapping[str, float]
+        Fixed values of parameters that a space may leave out.
+    jacobian_cost : int or None
+        Cost of a Jacobian in rows of `predict`. None stands for the number of parameters, which is
+        the cost of analytic derivatives.
+    derived : Mapping[str, tuple[str, Callable]]
+        Reported quantities with intervals, by name: the unit, and a function that maps parameter
+        rows (n, d) to values (n,).
     """
 
     inputs: Mapping[str, str]
@@ -51,52 +68,54 @@ class Model(ABC):
     derived: Mapping[str, tuple[str, Callable[[Array], Array]]] = MappingProxyType({})
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
-        """This model, where each model that it is made of and that may be dear is a wrapped one."""
+        """Return this model with `wrap` applied to each component that may be expensive."""
         return wrap(self)
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d) at input columns (N,).
+        """Return the outputs (n, N) of parameter rows (n, d) at input columns (N,).
 
-        A new array, which the caller may overwrite; a row is the same in any batch.
+        The array is new, so the caller may overwrite it. The outputs of a parameter row do not
+        depend on the other rows of the batch.
         """
 
     @abstractmethod
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, d), at one configuration (d,)."""
+        """Return the derivatives of the outputs, (N, d), at one configuration (d,)."""
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
-        """Sentences for the report on what the model itself gets wrong at an optimum (d,).
+        """Return sentences for the report about errors of the model at an optimum (d,).
 
-        `noise` is the standard deviation of the errors there.
+        `noise` is the standard deviation of the residuals at the optimum.
         """
         return []
 
 
 class DifferencedModel(Model):
-    """A model without derivatives of its own: they are `central_differences`, 2 d values a row."""
+    """A model with derivatives by `central_differences`, which need 2 d evaluations."""
 
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, d), to some 1e-10 of their size in smooth models."""
+        """Return the derivatives of the outputs, (N, d), to about 1e-10 in smooth models."""
         return self.differences(self.predict, theta, *inputs)
 
     @final
     def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
-        """The derivatives by what `predict` gives: the outputs, wherever they come from."""
+        """Return the derivatives from outputs that `predict` computes or looks up."""
         return central_differences(predict, theta, *inputs)
 
     @property
     def jacobian_cost(self) -> int:  # type: ignore[override]
-        """Two values for each parameter; a few more near 0, or where values are not finite."""
+        """Two evaluations per parameter; a few more near 0 and near values that are not finite."""
         return 2 * len(self.parameters)
 
 
 class ExternalModel(Model):
-    """A simulation that is not ours, known to some digits: differences over a wide `step`.
+    """An external simulation with few exact digits: differences use a wide relative `step`.
 
-    It is relative to the parameter, or for 0 to its size in `typical`. The simulation's digits over
-    it are lost: with a thousandth, six digits leave derivatives to some thousandths.
+    The step is relative to the parameter, or to its entry of `typical` if the parameter is 0. A
+    relative error e of the simulation gives derivatives with a relative error of about e / step:
+    six digits and a step of 1e-3 leave an error of about 1e-3.
     """
 
     step: float
@@ -104,17 +123,17 @@ class ExternalModel(Model):
 
     @property
     def typical(self) -> Array:
-        """Sizes of the parameters (d,), for those that are 0."""
+        """Typical sizes of the parameters (d,), which scale the step of parameters that are 0."""
         return np.ones(len(self.parameters))
 
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives (N, d) by central differences, beside a failure by one-sided ones."""
+        """Return derivatives (N, d) by central differences, or one-sided ones next to a failure."""
         return self.differences(self.predict, theta, *inputs)
 
     @final
     def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
-        """The derivatives by what `predict` gives: the outputs, wherever they come from."""
+        """Return the derivatives from outputs that `predict` computes or looks up."""
         h = self.step * np.where(theta == 0, self.typical, np.abs(theta))
         moves = np.diag(h)
         high, low = np.split(
@@ -129,17 +148,17 @@ class ExternalModel(Model):
 
     @property
     def jacobian_cost(self) -> int:  # type: ignore[override]
-        """Two simulations for each parameter, and one more beside a failure."""
+        """Two simulations per parameter; a failed one adds a simulation at the point itself."""
         return 2 * len(self.parameters)
 
 
 def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array:
-    """Derivatives (N, d) of what is predicted, from 2 d rows of one batch or a few more.
+    """Return the derivatives (N, d) of the predictions, from 2 d parameter rows or a few more.
 
     The step is the cube root of the machine epsilon times the parameter, which leaves a relative
-    error near 1e-10 in smooth models; beside a value that is not finite the difference is taken on
-    the other side, at an error near 1e-5. A parameter near 0 does not tell its own size: its step
-    grows from there until the output changes by more than rounding does.
+    error near 1e-10 in smooth models. If the value on one side is not finite, the difference uses
+    the other side only, with an error near 1e-5. A parameter near 0 gives no scale for its step;
+    the step grows until the output changes by more than rounding errors.
     """
     root = float(np.cbrt(np.finfo(float).eps))
     step = root * np.maximum(np.abs(theta), SMALLEST)
@@ -168,7 +187,7 @@ def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array
 
 
 def rows_of(predict: Predict, thetas: Array, *inputs: Array) -> Array:
-    """Outputs (n, N) of parameter rows (n, d), NaN for a row at which the model raises."""
+    """Return the outputs (n, N) of parameter rows (n, d), NaN if the model raises for a row."""
     try:
         return predict(thetas, *inputs)
     except Exception:  # noqa: BLE001 -- whatever a model raises
@@ -182,7 +201,7 @@ def rows_of(predict: Predict, thetas: Array, *inputs: Array) -> Array:
 def _one_sided(
     centre: Array, high: Array, low: Array, width: Array, beside: NDArray[np.intp]
 ) -> tuple[Array, Array, Array]:
-    """Differences to the point itself, for the parameters `beside` values that are not finite."""
+    """Replace central differences next to values that are not finite by one-sided ones."""
     high, low, width = high.copy(), low.copy(), width.copy()
     for k in beside:
         if np.isfinite(low[k]).all():

@@ -281,8 +281,8 @@ def test_a_function_is_a_model() -> None:
     # The data are NumPy's exponentials; the machine's may differ by an ulp of 2 (4e-16).
     assert fit.loss(np.array([[2.0, 1.5]]))[0] <= 1e-31
     for wrong, message in (
-        (lambda t, a, b: a, "has 3 input columns and 0 parameters; expected at least one of each"),
-        (Pacejka, "expected an instance of a model class"),
+        (lambda t, a, b: a, "expected at least one input column and one parameter, got 3 and 0"),
+        (Pacejka, "expected an object of a model class"),
         ("decay", "the model is 'decay'; expected"),
     ):
         with pytest.raises(ValueError, match=message) as caught:

@@ -70,7 +70,7 @@ def test_a_function_that_branches_runs_row_by_row(load: Callable[..., Model]) ->
     assert np.array_equal(model.predict(THETAS, t)[1], np.exp(-0.3 * t))
     assert not model.predict(THETAS, t)[[0, 2]].any()
     with pytest.raises(ValueError, match=r"mine.py:5: decay raises ValueError: The truth value.*"
-                       r"; with one row.*it works; set batched to false"):  # fmt: skip
+                       r"; calls with one row.*work; set batched to false"):  # fmt: skip
         load(branching, batched=True).predict(THETAS, t)
 
 
@@ -91,9 +91,9 @@ def test_nothing_of_the_callers_is_edited_or_handed_out(load: Callable[..., Mode
 
 
 BAD = {
-    "any arguments": (DECAY.replace("*,", "*rest,"), r"\*rest stands for any argument"),
-    "no parameters": (DECAY.replace("*, ", ""), "3 input columns and 0 parameters"),
-    "no columns": (DECAY.replace('t: "s", ', ""), "0 input columns and 2 parameters"),
+    "any arguments": (DECAY.replace("*,", "*rest,"), r"expected named arguments, got \*rest"),
+    "no parameters": (DECAY.replace("*, ", ""), "one parameter, got 3 and 0"),
+    "no columns": (DECAY.replace('t: "s", ', ""), "one parameter, got 0 and 2"),
     "a syntax error": (DECAY.replace("(-b * t)", "(-b * t"), "mine.py:5: '.' was never closed"),
     "a null byte": (DECAY + "\0", "mine.py.*null bytes"),
     "a failing import": ("\nimport nothere\n", "mine.py:2: raises ModuleNotFoundError"),
@@ -126,22 +126,22 @@ def test_settings_that_do_not_fit_are_refused(load: Callable[..., Model], tmp_pa
 
 def test_results_of_another_shape_or_kind_are_refused(load: Callable[..., Model]) -> None:
     for result, message in {
-        "t": r"shape \(50,\).*expected \(3, 50\).*broadcast",
-        "np.sum(a * t)": r"shape \(\)",
-        "1j * a * t": "gives complex128; expected real numbers",
-        "None": "gives object",
+        "t": r"expected shape \(3, 50\).*got \(50,\).*broadcast",
+        "np.sum(a * t)": r"got \(\)",
+        "1j * a * t": "expected real numbers, got complex128",
+        "None": "got object",
     }.items():
         with pytest.raises(ValueError, match=message):
             load(DECAY.replace("a * np.exp(-b * t)", result), batched=True).predict(THETAS, t)
     for result, message in {
-        "t[:7]": r"shape \(7,\) for columns \(50,\); expected \(50,\)",
-        "1j * a * t": "gives complex128; expected real numbers",
+        "t[:7]": r"expected shape \(50,\) for columns \(50,\), got \(7,\)",
+        "1j * a * t": "expected real numbers, got complex128",
     }.items():
         with pytest.raises(ValueError, match=message):
             load(DECAY.replace("a * np.exp(-b * t)", result)).predict(THETAS, t)
     constant = load(DECAY.replace("a * np.exp(-b * t)", "a"))
     assert np.array_equal(constant.predict(THETAS, t), THETAS[:, [0]] + 0 * t)
-    with pytest.raises(ValueError, match=r"shape \(2,\) for columns \(50,\)"):
+    with pytest.raises(ValueError, match=r"for columns \(50,\), got \(2,\)"):
         load(DECAY.replace("a *", "t[:2] +").replace("* t", "+ t[:2]"), batched=False).predict(
             THETAS, t
         )
