@@ -246,8 +246,8 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         "space.B.high: is missing",
     ),
     "a cycle": (["space.C.tied=1 + C"], "space.C.tied: C -> C is a cycle"),
-    "code for an expression": (["space.C.tied=B.real"], "'B.real' is not allowed; give numbers"),
-    "an unknown name in it": (["space.C.tied=1 + Bq"], "no parameter Bq; did you mean B?"),
+    "code for an expression": (["space.C.tied=B.real"], "'B.real' is not allowed; use numbers"),
+    "an unknown name in it": (["space.C.tied=1 + Bq"], "unknown parameter Bq; did you mean B?"),
     "an empty set": (
         ["space.C.tied=1 + B", "space.C.low=500", "space.C.high=600"],
         "'1 + B' is 1.05 to 200.9 in the box of the other parameters; expected values from 500",
@@ -276,7 +276,10 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         ["problem.constraints=['B < -1']"],
         "no values of B from 0 to 200 satisfy B < -1",
     ),
-    "a constraint of others": (["problem.constraints=['B < Q']"], "'Q' has no parameter Q"),
+    "a constraint of others": (
+        ["problem.constraints=['B < Q']"],
+        "'Q' uses an unknown parameter Q",
+    ),
     "a number for a constraint": (["problem.constraints=5"], "constraints: expected linear relat"),
     "no such folder": (["--config-dir", "no/such"], "--config-dir: no/such is not a folder"),
     "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),

@@ -265,10 +265,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown": ({"space": {**BOX, "q": (0, 1)}}, "no parameter q, and none is tied|also has q"),
     "fixed unknown": ({"fixed": {"c": 1}}, "fixed: c is not a parameter; choose from a, b"),
     "a cycle": ({"tied": {"a": "b", "b": "a"}}, "cycle|every parameter"),
-    "code": ({"tied": {"a": "__import__('os')"}}, "is not allowed; give numbers"),
+    "code": ({"tied": {"a": "__import__('os')"}}, "is not allowed; use numbers"),
     "an attribute": ({"tied": {"a": "b.real"}}, "'b.real' is not allowed"),
-    "no expression": ({"tied": {"a": "1 +"}}, "'1 \\+' is no expression"),
-    "a typing error": ({"tied": {"a": "2 * bb"}}, "no parameter bb; did you mean b"),
+    "no expression": ({"tied": {"a": "1 +"}}, "'1 \\+' is not an expression"),
+    "a typing error": ({"tied": {"a": "2 * bb"}}, "unknown parameter bb; did you mean b"),
     "never": (
         {"space": {"a": (50, 60), "b": (0, 5)}, "tied": {"a": "2 * b"}},
         "expected values from 50 to 60",
@@ -292,7 +292,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"x": pd.DataFrame({"t": t}), "y": pd.Series(y, index=range(1, 61))},
         "x, y and sigma have different row labels; align them",
     ),
-    "a constraint": ({"constraints": "a < c"}, "'c' has no parameter c; choose from a, b"),
+    "a constraint": ({"constraints": "a < c"}, "'c' uses an unknown parameter c; choose from a, b"),
     "columns": ({"x": (t, t)}, "needs the parameters b; the space also has a|has 2"),
 }
 

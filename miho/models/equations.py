@@ -1,4 +1,4 @@
-"""The equations of a motion, from plain functions: rates of states, outputs, and derivatives."""
+"""Equations of motion from plain functions: rates of states, outputs, and derivatives."""
 
 from __future__ import annotations
 import __future__
@@ -19,15 +19,15 @@ from miho.quantities import Array
 
 NO_UNIT = "-"
 ROOT = float(np.cbrt(np.finfo(float).eps))
-"""A step of central differences, relative: it leaves an error near 1e-10 of smooth functions."""
+"""Relative step of central differences, with an error near 1e-10 for smooth functions."""
 
 
 @dataclass(frozen=True)
 class Declared:
-    """A plain function with the units of its arguments, "-" for those without an annotation.
+    """A plain function with the units of its arguments, "-" without an annotation.
 
-    Positional arguments are `columns`: states, inputs and time; keyword-only ones `parameters`,
-    or constants if they have a default. Raises ValueError for arguments without a name.
+    Positional arguments are `columns`: states, inputs and time. Keyword-only arguments are
+    `parameters`, or constants if they have a default. Raises ValueError for *args and **kwargs.
     """
 
     function: Callable[..., Any]
@@ -38,7 +38,7 @@ class Declared:
 
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Declared:
-        """What a function's signature says."""
+        """Read a function's signature."""
         inner = function.func if isinstance(function, partial) else function
         name = str(getattr(inner, "__name__", type(inner).__name__))
         flags = getattr(getattr(inner, "__code__", None), "co_flags", 0)
@@ -51,7 +51,9 @@ class Declared:
         parameters: dict[str, str] = {}
         for each in signature.parameters.values():
             if each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD):
-                raise ValueError(f"{name}: {each} stands for any argument; name each")
+                raise ValueError(
+                    f"{name}: expected named arguments, got {each}; name each argument"
+                )
             if each.default is each.empty:
                 group = columns if each.kind in COLUMN else parameters
                 group[each.name] = declared_unit(each.annotation, postponed) or NO_UNIT
@@ -59,7 +61,7 @@ class Declared:
         return cls(function, name, columns, parameters, unit)
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
-        """The result, of values by name."""
+        """Return the result for values by name."""
         arguments = [values[name] for name in self.columns]
         return self.function(*arguments, **{name: values[name] for name in self.parameters})
 
@@ -68,10 +70,10 @@ class Declared:
 class Equations:
     """dx/dt = rhs(t, x, u, p) and outputs y = h(t, x, u, p) / scale, of states x (S,).
 
-    Functions take their arguments by name: the time, states, inputs u (q,) and parameters p (d,).
-    An output is a function or the name of a state. Arrays may have a further axis of n parameter
-    rows. What traces (`miho.models.symbolic`) is differentiated exactly, and is `taped` for the
-    machine; of anything else central differences of rhs and h are taken.
+    Functions get their arguments by name: the time, states, inputs u (q,) and parameters p (d,).
+    An output is a function or the name of a state. Arrays may have a second axis of n parameter
+    rows. Functions that can be traced (`miho.models.symbolic`) are differentiated exactly, and are
+    `taped` for the machine. For other functions, derivatives are central differences of rhs and h.
     """
 
     rhs: Declared
@@ -95,25 +97,28 @@ class Equations:
         return _stacked(self._formulas.outputs((t, *u, *x, *p)), x.shape[1:])
 
     def rate_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
-        """The derivatives of the rates of states (S,) by states (S, S) and parameters (S, d)."""
+        """Return derivatives of the rates (S,) by states (S, S) and by parameters (S, d)."""
         if self._formulas is None:
             return self._differences(self._rates, t, u, x, p)
         return self._split(self._formulas.rate_slopes((t, *u, *x, *p)))
 
     def output_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
-        """The derivatives of the outputs by states (K, S) and parameters (K, d)."""
+        """Return derivatives of the outputs by states (K, S) and by parameters (K, d)."""
         if self._formulas is None:
             return self._differences(self._observed, t, u, x, p)
         return self._split(self._formulas.output_slopes((t, *u, *x, *p)))
 
     @property
     def traced(self) -> bool:
-        """Whether they trace; raises ValueError unless rhs gives a derivative for each state."""
+        """Whether all functions can be traced.
+
+        Raises ValueError unless rhs returns one derivative per state.
+        """
         return self._graphs is not None
 
     @cached_property
     def taped(self) -> TapedEquations | None:
-        """The equations for the machine, None without it, or if they do not trace."""
+        """Equations for the machine, None without a machine or if they cannot be traced."""
         return None if self._graphs is None else taped_equations(*self._graphs, *self._symbols)
 
     def _values(
@@ -126,12 +131,12 @@ class Equations:
         return self._one_each(self.rhs(values))
 
     def _one_each(self, result: Any) -> list[Any]:
-        """The derivatives in a result, one for each state; raises ValueError."""
+        """Return the derivatives in a result; raises ValueError unless there is one per state."""
         rates = list(result) if isinstance(result, tuple | list | np.ndarray) else [result]
         if len(rates) != len(self.states):
             raise ValueError(
-                f"{self.rhs.name}: gives {len(rates)} derivatives for the states "
-                f"{', '.join(self.states)}; give one for each, in their order"
+                f"{self.rhs.name}: expected one derivative for each of the states "
+                f"{', '.join(self.states)}, got {len(rates)}; return them in this order"
             )
         return rates
 
@@ -144,12 +149,12 @@ class Equations:
     def _called(
         self, function: Callable[..., Sequence[Any]], t: float, u: Array, x: Array, p: Array
     ) -> Array:
-        """Results (K, n) of n parameter rows: at once, or one by one for functions that branch."""
+        """Return results (K, n) of n parameter rows: in one batch, or one by one if this fails."""
         if x.ndim == 1:
             return self._called(function, t, u, x[:, None], p[:, None])[:, 0]
         try:
             return _stacked(function(self._values(t, u, x, p)), x.shape[1:])
-        except Exception:  # noqa: BLE001 -- it branches, or fails alone too, which is told below
+        except Exception:  # noqa: BLE001 -- branches, or errors that the calls below raise again
             rows = zip(x.T.tolist(), p.T.tolist(), strict=True)
             return np.array([self._of_numbers(function, t, u, *row) for row in rows]).T
 
@@ -158,7 +163,7 @@ class Equations:
     ) -> Array:
         try:
             return np.array(function(self._values(t, u, x, p)), dtype=float)
-        except ArithmeticError:  # division by zero, overflow: no value
+        except ArithmeticError:  # NaN for division by zero and overflow
             count = len(self.states) if function == self._rates else len(self.outputs)
             return np.full(count, np.nan)
         except (TypeError, ValueError, AttributeError, LookupError) as error:
@@ -184,7 +189,7 @@ class Equations:
 
     @cached_property
     def _graphs(self) -> tuple[list[Symbol], list[Symbol]] | None:
-        """Rates and outputs as formulas of t, u0, ..., x0, ..., p0, ...; None if they are none."""
+        """Rates and outputs as formulas of t, u0, ..., x0, ..., p0, ...; None if not traceable."""
         values = self._values(argument("t"), *self._symbols)
         try:
             results = of_symbols(lambda: (self.rhs(values), self._observed(values)))
@@ -225,7 +230,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class _Formulas:
-    """What was traced, as plain functions of the tuple (t, *u, *x, *p)."""
+    """Traced equations as plain functions of the tuple (t, *u, *x, *p)."""
 
     rates: Callable[..., Any]
     outputs: Callable[..., Any]
@@ -234,5 +239,5 @@ class _Formulas:
 
 
 def _stacked(results: Iterable[Any], columns: tuple[int, ...]) -> Array:
-    """Results as rows (K, n) or numbers (K,), of which some may not depend on the row."""
+    """Return results as rows (K, n) or numbers (K,); constant results are broadcast."""
     return np.array([np.broadcast_to(result, columns) for result in results], dtype=float)

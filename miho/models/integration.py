@@ -1,4 +1,4 @@
-"""Trajectories without a compiler: Runge-Kutta in NumPy, and SciPy's solvers of stiff equations."""
+"""Trajectories without the machine: Runge-Kutta in NumPy, and SciPy's stiff solvers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from miho.models.equations import Equations
 from miho.quantities import Array
 
 ABSOLUTE = 1e-4
-"""The tolerance of a state near zero, as a fraction of the relative one."""
+"""Absolute tolerance of states, as a fraction of the relative tolerance."""
 MOST_CALLS = 100_000
-"""A stiff solver that has asked for so many rates is lost."""
+"""Largest number of rate evaluations of a stiff solver, after which the solution is given up."""
 
 Path = Callable[[Array, int, int], Array]
 """(z (S, w) at row i, i, j) -> z at rows i to j, (j - i + 1, S, w)."""
@@ -24,13 +24,13 @@ Path = Callable[[Array, int, int], Array]
 
 @dataclass(frozen=True)
 class Values:
-    """The states of n parameter rows p (d, n), side by side: z (S, n)."""
+    """States z (S, n) of n parameter rows p (d, n)."""
 
     equations: Equations
     p: Array
 
     def begin(self, course: Course, m: int) -> Array:
-        """z at the start of the number m."""
+        """Return z at start number m."""
         fixed = np.repeat(course.values[m][:, None], self.p.shape[1], axis=1)
         starts = np.where(course.parameters[m][:, None] < 0, fixed, self.p[course.parameters[m]])
         return np.asarray(starts)
@@ -44,16 +44,16 @@ class Values:
         return self.equations.observed(t, u, z, self.p)
 
     def slope(self, t: float, u: Array, z: Array) -> Array:
-        """The derivatives (S n, S n) of dz / dt by z, of which one parameter row is the first."""
+        """Return the derivatives (S n, S n) of dz / dt by z, at the first parameter row."""
         by_state, _ = self.equations.rate_slopes(t, u, z[:, 0], self.p[:, 0])
         return np.asarray(np.kron(by_state, np.eye(z.shape[1])), dtype=float)
 
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """The state of one parameter row p (d,) and its derivatives: z = [x, x_p w] (S, 1 + d).
+    """State of one parameter row p (d,) with its sensitivities: z = [x, x_p w] (S, 1 + d).
 
-    `scale` w (d,) makes the derivatives as large as the states, so that one tolerance does for all.
+    `scale` w (d,) gives sensitivities the size of the states, so one tolerance suits both.
     """
 
     equations: Equations
@@ -61,7 +61,7 @@ class Sensitivities:
     scale: Array
 
     def begin(self, course: Course, m: int) -> Array:
-        """z at the start of the number m."""
+        """Return z at start number m."""
         k = course.parameters[m]
         x = np.where(k < 0, course.values[m], self.p[k])
         return np.column_stack([x, (k[:, None] == np.arange(self.p.size)) * self.scale])
@@ -78,7 +78,10 @@ class Sensitivities:
         return np.asarray(by_state @ (z[:, 1:] / self.scale) + by_parameter)
 
     def slope(self, t: float, u: Array, z: Array) -> Array:
-        """The derivatives of dz / dt by z without those of by_state: enough to solve for a step."""
+        """Return approximate derivatives of dz / dt by z, without second derivatives of the rates.
+
+        The approximation is sufficient for the Newton iterations of a step.
+        """
         by_state, _ = self.equations.rate_slopes(t, u, z[:, 0], self.p)
         return np.asarray(np.kron(by_state, np.eye(z.shape[1])), dtype=float)
 
@@ -87,7 +90,7 @@ Motion = Values | Sensitivities
 
 
 def along(course: Course, motion: Motion, path: Path) -> Array:
-    """What a motion's `observed` gives at the rows of data, (R, w); NaN where it has no value."""
+    """Return the `observed` values of a motion at the rows of data, (R, w), NaN without a value."""
     results: Array | None = None
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -100,12 +103,12 @@ def along(course: Course, motion: Motion, path: Path) -> Array:
                 rows = course.rows[course.first[j] : course.first[j + 1]]
                 results[rows] = y[course.output[rows]]
     if results is None:
-        raise ValueError("there are no rows")
+        raise ValueError("expected at least one row of data, got none")
     return results
 
 
 def _stretches(course: Course) -> Iterator[tuple[int, int, int, int]]:
-    """(start's number, first row to observe, row of the start, last row) between resets."""
+    """Yield (start number, first observed row, start row, last row) of each stretch."""
     starts = np.flatnonzero(course.reset >= 0)
     ends = [*(starts[1:] - (not course.restart)), course.t.size - 1]
     for start, end in zip(starts, ends, strict=True):
@@ -114,14 +117,14 @@ def _stretches(course: Course) -> Iterator[tuple[int, int, int, int]]:
 
 
 def input_at(course: Course, j: int, share: float) -> Array:
-    """The inputs at a share of the way from row j to row j + 1."""
+    """Return the inputs at a fraction of the way from row j to row j + 1."""
     if course.held:
         return np.asarray(course.u[j])
     return np.asarray(course.u[j] + share * (course.u[j + 1] - course.u[j]))
 
 
 def runge_kutta(course: Course, motion: Motion) -> Path:
-    """The classical method of fourth order, as the machine does it."""
+    """Return paths by the classical fourth-order method, with the same steps as the machine."""
 
     def step(z: Array, j: int, substep: int, h: float) -> Array:
         after, dz = z, np.zeros_like(z)
@@ -144,12 +147,12 @@ def runge_kutta(course: Course, motion: Motion) -> Path:
 
 
 def stiff(course: Course, motion: Motion, method: str, tolerance: float) -> Path:
-    """A method of `scipy.integrate.solve_ivp` with exact Jacobians; NaN after where it fails.
+    """Return paths by a method of `scipy.integrate.solve_ivp`, NaN from the point of a failure.
 
-    Inputs that are held jump at the rows, so that it starts anew there. Of inputs that are straight
-    between rows it takes no step longer than from row to row, so that it misses none.
+    Inputs with the interpolation "hold" jump at the rows, so the solver restarts at each row. With
+    linear inputs, the largest step is the largest distance of rows, so that no input is skipped.
     """
-    from scipy.integrate import solve_ivp  # here, since importing it takes a second
+    from scipy.integrate import solve_ivp  # the import takes a second
 
     calls = 0
 
@@ -174,14 +177,14 @@ def stiff(course: Course, motion: Motion, method: str, tolerance: float) -> Path
         def slope(now: float, flat: Array) -> Array:
             return motion.slope(now, at(now, start, end), flat.reshape(shape))
 
-        motion.rates(t[0], at(t[0], start, end), z)  # what is wrong with the function shows here
+        motion.rates(t[0], at(t[0], start, end), z)  # raises errors of the function
         longest = float(np.diff(t).max()) if course.u.shape[1] else np.inf
         try:
             solution: Any = solve_ivp(  # type: ignore[call-overload]
                 rates, (t[0], t[-1]), z.ravel(), method, t, jac=slope, max_step=longest,
                 rtol=tolerance, atol=ABSOLUTE * tolerance,
             )  # fmt: skip
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError):  # infinite on the way
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):  # diverges
             states[0] = z
             return states
         states[: solution.t.size] = solution.y.T.reshape(-1, *shape)

@@ -1,4 +1,4 @@
-"""How the rows of a record stand for a motion over time."""
+"""Assignment of the rows of a record to times, inputs, outputs and starts of a motion."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from miho.validate import positive
 
 MEASURED, IDENTIFIED = "measured", "identified"
 OUTPUT = "output"
-"""The column that says which output a row is of, counted from 0."""
+"""Column with the number of a row's output, from 0."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The columns by name, and where the motion begins: see `miho.models.Trajectory`.
+    """Names of the columns and starts of the motion; see `miho.models.Trajectory`.
 
-    `inputs` and `parameters` are names in their order, `states` map theirs to their starts, and
-    `outputs` counts the outputs.
+    `inputs` and `parameters` are names in order, `states` maps names to starts, and `outputs` is
+    the number of outputs.
     """
 
     time: str
@@ -35,10 +35,10 @@ class Layout:
     substeps: int
 
     def course(self, columns: Mapping[str, Array]) -> Course:
-        """The course that they describe; raises ValueError for rows out of order."""
+        """Return the course of the columns; raises ValueError if rows are out of order."""
         t = columns[self.time]
         kind = self._outputs_of(columns, t)
-        # Rows of one time stand for one state of the motion.
+        # Rows with the same time share one state of the motion.
         times, earliest, at = np.unique(t, return_index=True, return_inverse=True)
         inputs = np.column_stack([columns[name] for name in self.inputs] or [np.empty((t.size, 0))])
         u = np.asarray(inputs[earliest], dtype=float)
@@ -47,7 +47,7 @@ class Layout:
             row, k = differs[0]
             raise ValueError(
                 f"column {self.inputs[k]} has two values at {self.time} = {t[row]:g}; "
-                "give the outputs of one time the same inputs"
+                "give all outputs at one time the same inputs"
             )
         reset, values, parameters = self._starts(columns, earliest)
         return Course(
@@ -65,31 +65,31 @@ class Layout:
         )
 
     def _outputs_of(self, columns: Mapping[str, Array], t: Array) -> Integers:
-        """Which output each row is of, whose times increase."""
+        """Return the number of each row's output; the times of each output must increase."""
         output = columns.get(OUTPUT, np.zeros(t.size))
         kind = output.astype(int)
         if (kind != output).any() or kind.min() < 0 or kind.max() >= self.outputs:
             raise ValueError(
-                f"column {OUTPUT} is {output.min():g} to {output.max():g}; expected whole numbers "
-                f"from 0 to {self.outputs - 1}, which count the outputs"
+                f"column {OUTPUT}: expected whole numbers from 0 to {self.outputs - 1}, one per "
+                f"output, got values from {output.min():g} to {output.max():g}"
             )
         for k in range(self.outputs):
             if not (np.diff(t[kind == k]) > 0).all():
                 raise ValueError(
-                    f"{self.time} does not increase from row to row; give one record in order of "
-                    "time"
+                    f"{self.time} does not increase from row to row; sort the rows by time and "
+                    "give one record"
                 )
         return kind
 
     def _starts(
         self, columns: Mapping[str, Array], earliest: Integers
     ) -> tuple[Integers, Array, Integers]:
-        """Which start there is at each time (N,), -1 for none; and what it sets the states to."""
+        """Return the start number at each time (N,), -1 for none, and the states at each start."""
         N, count = earliest.size, self.segments
         if self.restart is not None:
             at = np.arange(0, N, self.restart)
         elif count > N:
-            raise ValueError(f"segments is {count} for {N} times; expected at most as many")
+            raise ValueError(f"segments: expected at most {N}, the number of times, got {count}")
         else:
             at = np.arange(count) * N // count
         reset = np.full(N, -1)
@@ -108,15 +108,15 @@ class Layout:
 
 
 def check_scales(scales: Sequence[float], units: Sequence[str]) -> None:
-    """Raise ValueError unless outputs of these units can be weighed by the scales, one for each."""
+    """Raise ValueError unless there is one scale per output, or all outputs have the same unit."""
     if scales and len(scales) != len(units):
         raise ValueError(
-            f"scales has {len(scales)} numbers for {len(units)} outputs; give one for each"
+            f"scales: expected {len(units)} numbers, one for each output, got {len(scales)}"
         )
     for scale in scales:
         positive("scales", scale)
     if len(set(units)) > 1 and not scales:
         raise ValueError(
             f"outputs have the units {', '.join(units)}; give scales, the standard deviations of "
-            "their errors, so that they can be weighed"
+            "their errors"
         )

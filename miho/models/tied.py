@@ -1,7 +1,6 @@
-"""A model some of whose parameters are fixed or tied to others: a model of the free ones.
+"""A model of free parameters: the other parameters are fixed or tied to the free ones.
 
-What identifies sees fewer parameters and nothing else: every method, interval and check works on
-the free ones as on any model's.
+Methods, intervals and checks see a model with fewer parameters and need no special cases.
 """
 
 from __future__ import annotations
@@ -50,24 +49,37 @@ FUNCTIONS = {name: name for name in ("exp", "log", "sqrt", "sin", "cos", "tan", 
     "min": "minimum",
     "max": "maximum",
 }
-"""Functions that an expression may call, and the operations that they are."""
+"""Functions that an expression may call, with their operations."""
 CONSTANTS = {"pi": np.pi}
 LONGEST = 1000
-"""No expression has more characters."""
+"""Largest number of characters of an expression."""
 
 
 @dataclass(frozen=True)
 class Ties(Remade):
-    """How a model's parameters follow from free ones.
+    """Expressions of a model's parameters in terms of free parameters.
 
-    `parameters` are the model's, in its order; `free` maps the free ones to their units, in the
-    order of theta: parameters of the model, and others that occur in expressions only. `ties` maps
-    the model's other parameters to a number, or to an expression of free, tied and fixed ones, and
-    so `quantities`, which are not the model's, with their units. No configuration has a value in
-    which one of either leaves its `limits`. The formulas are those of the free ones, in place of
-    shares of a `radial` map those of the points that they stand for.
+    Parameters
+    ----------
+    parameters : tuple of str
+        Parameters of the model, in its order.
+    free : Mapping[str, str]
+        Units of the free parameters, in the order of theta. They are parameters of the model, or
+        occur in expressions only.
+    ties : Mapping[str, float or str]
+        Number or expression of each other parameter and of each quantity. Expressions may use
+        free, tied and fixed parameters.
+    limits : Mapping[str, tuple[float, float]], optional
+        Bounds of tied parameters and quantities. Outside them, the model has no value (NaN).
+    quantities : Mapping[str, str], optional
+        Units of tied quantities that are not parameters of the model.
+    radial : RadialMap, optional
+        Map from free parameters that are shares to points. Expressions refer to the points.
 
-    Raises ValueError for an expression that is no arithmetic, an unknown name, or a cycle.
+    Raises
+    ------
+    ValueError
+        If an expression is not arithmetic, has an unknown name, or is part of a cycle.
     """
 
     parameters: tuple[str, ...]
@@ -82,12 +94,12 @@ class Ties(Remade):
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The model's parameters, in its order, and the quantities."""
+        """Names of the model's parameters, in its order, then of the quantities."""
         return (*self.parameters, *self.quantities)
 
     @cached_property
     def graphs(self) -> tuple[Symbol, ...]:
-        """All `names` as formulas of the free ones."""
+        """Formula of each of `names` in the free parameters."""
         formulas: dict[str, Symbol] = dict(zip(self.free, self.arguments, strict=True))
         return tuple(self._resolved(name, formulas, ()) for name in self.names)
 
@@ -97,7 +109,7 @@ class Ties(Remade):
         return [argument(f"p{k}") for k in range(len(self.free))]
 
     def _resolved(self, name: str, formulas: dict[str, Symbol], above: tuple[str, ...]) -> Symbol:
-        """The formula of a parameter; `above` are those whose expressions led here."""
+        """Return the formula of a parameter; `above` is the chain of expressions that use it."""
         if name in above:
             cycle = " -> ".join([*above[above.index(name) :], name])
             raise ValueError(f"space.{name}.tied: {cycle} is a cycle; tie to a free parameter")
@@ -121,17 +133,17 @@ class Ties(Remade):
 
     @cached_property
     def formula(self) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
-        """All `names`, a function of the tuple of free ones."""
+        """Function that maps a tuple of free parameters to the values of all `names`."""
         return written("parameters", self._signature, self.graphs, single=False)
 
     @cached_property
     def slopes(self) -> tuple[tuple[Symbol, ...], ...]:
-        """The derivatives of all `names` with respect to the free ones, (k, f)."""
+        """Derivatives of all `names` with respect to the free parameters, (k, f)."""
         return tuple(tuple(gradient(graph, self.arguments)) for graph in self.graphs)
 
     @cached_property
     def wall(self) -> Symbol | None:
-        """0 within all limits and NaN outside, None without limits."""
+        """Formula that is 0 inside all limits and NaN outside; None without limits."""
         total: Any = None
         for name, bounds in self.limits.items():
             graph = self.graphs[self.names.index(name)]
@@ -143,12 +155,12 @@ class Ties(Remade):
 
     @cached_property
     def wall_formula(self) -> Callable[[tuple[Any, ...]], Any] | None:
-        """The wall, a function of the tuple of free parameters."""
+        """The wall as a function of the tuple of free parameters."""
         wall = self.wall
         return None if wall is None else written("wall", self._signature, [wall], single=True)
 
     def walls(self, thetas: Array) -> Array | None:
-        """The wall (n,) at free parameters (n, f)."""
+        """Return the wall (n,) at free parameters (n, f), None without limits."""
         if self.wall_formula is None:
             return None
         with np.errstate(invalid="ignore"):
@@ -156,13 +168,13 @@ class Ties(Remade):
 
     @cached_property
     def shares(self) -> list[int]:
-        """The places of a radial map's shares among the free ones."""
+        """Positions of the radial map's shares among the free parameters."""
         return (
             [] if self.radial is None else [[*self.free].index(n) for n in self.radial.share_names]
         )
 
     def _points(self, thetas: Array) -> Array:
-        """The arguments (n, f) of the formulas at free parameters (n, f)."""
+        """Return the arguments (n, f) of the formulas at free parameters (n, f)."""
         if self.radial is None:
             return thetas
         points = thetas.copy()
@@ -170,13 +182,13 @@ class Ties(Remade):
         return points
 
     def values(self, thetas: Array) -> Array:
-        """All `names` (n, k) at free parameters (n, f)."""
+        """Return the values (n, k) of all `names` at free parameters (n, f)."""
         with np.errstate(all="ignore"):
             columns = self.formula(tuple(self._points(thetas).T))
         return np.stack([np.broadcast_to(column, len(thetas)) for column in columns], axis=1)
 
     def whole(self, thetas: Array) -> Array:
-        """The model's parameters (n, d) of free ones (n, f)."""
+        """Return the model's parameters (n, d) at free parameters (n, f)."""
         return self.values(thetas)[:, : len(self.parameters)]
 
     @cached_property
@@ -185,7 +197,7 @@ class Ties(Remade):
         return written("slopes", self._signature, flat, single=False)
 
     def value_slopes(self, thetas: Array) -> Array:
-        """The derivatives (n, k, f) of all `names` at free parameters (n, f)."""
+        """Return the derivatives (n, k, f) of all `names` at free parameters (n, f)."""
         with np.errstate(all="ignore"):
             values = self._slope_formula(tuple(self._points(thetas).T))
         columns = [np.broadcast_to(value, len(thetas)) for value in values]
@@ -195,13 +207,14 @@ class Ties(Remade):
         return slopes
 
     def whole_slopes(self, thetas: Array) -> Array:
-        """The derivatives (n, d, f) of the model's parameters at free ones (n, f)."""
+        """Return the derivatives (n, d, f) of the model's parameters at free parameters (n, f)."""
         return self.value_slopes(thetas)[:, : len(self.parameters)]
 
     def linear(self, names: Sequence[str]) -> tuple[str, ...]:
-        """The free parameters in which a model is jointly linear that is so in these of its own.
+        """Return the free parameters in which a model is jointly linear.
 
-        The others must not depend on them, nor a limit.
+        `names` are the model's linear parameters. A free parameter qualifies if neither a limit
+        nor a nonlinear parameter of the model depends on it.
         """
         if self.radial is not None:
             return ()
@@ -228,7 +241,7 @@ class Ties(Remade):
 
 
 def tie(model: Model, ties: Ties) -> Model:
-    """The model of the free parameters."""
+    """Return the model of the free parameters, as an expression if possible."""
     if isinstance(model, Expression) and ties.radial is None:
         tied = TiedExpression(model, ties)
         with contextlib.suppress(NotAFormulaError):
@@ -238,12 +251,12 @@ def tie(model: Model, ties: Ties) -> Model:
 
 
 def whole_model(model: Model) -> Model:
-    """The model of all parameters that a tied model stands for, and another one as it is."""
+    """Return the model of all parameters under a tied model; any other model is returned as is."""
     return model.model if isinstance(model, Tied) else model
 
 
 class _Tied(Remade, Model):
-    """What both kinds of tied models take from the model that they stand for."""
+    """Properties that both kinds of tied models take from the model of all parameters."""
 
     model: Any
     ties: Ties
@@ -277,35 +290,35 @@ class _Tied(Remade, Model):
         return self.model.nominal  # type: ignore[no-any-return]
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
-        """Those of the model of all parameters."""
+        """Return the remarks of the model of all parameters."""
         whole = self.ties.whole(theta[None])[0]
         return self.model.remarks(whole, noise, *inputs)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
 class TiedModel(_Tied):
-    """A model of the free parameters alone."""
+    """A model of the free parameters only."""
 
     model: Model
     ties: Ties
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
-        """The same ties of the model with wrapped leaves."""
+        """Return the tied model with wrapped leaves."""
         return replace(self, model=self.model.with_leaves(wrap))
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]
-        """As the model."""
+        """Whether the model of all parameters is ordered."""
         return self.model.ordered
 
     @property
     def jacobian_cost(self) -> int:  # type: ignore[override]
-        """That of all parameters' derivatives."""
+        """Cost of the derivatives with respect to all parameters."""
         cost = self.model.jacobian_cost
         return len(self.model.parameters) if cost is None else cost
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of free parameters (n, f) at input columns (N,); NaN beyond a limit."""
+        """Return the outputs (n, N) at free parameters (n, f), NaN outside the limits."""
         values = self.model.predict(self.ties.whole(thetas), *inputs)
         walls = self.ties.walls(thetas)
         if walls is not None:
@@ -313,28 +326,28 @@ class TiedModel(_Tied):
         return values
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, f), at free parameters (f,)."""
+        """Return the derivatives of the outputs, (N, f), at free parameters (f,)."""
         derivatives = self.model.jacobian(self.ties.whole(theta[None])[0], *inputs)
         return np.asarray(derivatives @ self.ties.whole_slopes(theta[None])[0])
 
 
 @dataclass(frozen=True)
 class TiedExpression(_Tied, TracedExpression):
-    """An expression of the free parameters alone."""
+    """An expression of the free parameters only."""
 
     model: Expression
     ties: Ties
 
     @cached_property
     def graph(self) -> Symbol:
-        """The output; raises NotAFormulaError for an expression that cannot be traced."""
+        """Graph of the output; raises NotAFormulaError if the expression cannot be traced."""
         parameters = self.ties.graphs[: len(self.ties.parameters)]
         output = trace(self.model.value, self.columns, parameters)
         return output if self.ties.wall is None else Symbol("add", output, self.ties.wall)
 
 
 Tied = TiedModel | TiedExpression
-"""What stands for a model whose parameters are tied."""
+"""Types of models with tied parameters."""
 
 
 def parsed(
@@ -343,13 +356,16 @@ def parsed(
     names: Mapping[str, object],
     symbol_of: Callable[[str], Symbol],
 ) -> Symbol:
-    """The formula of an expression of `names`, by an allow-list of arithmetic; nothing is run."""
+    """Return the formula of an expression of `names`.
+
+    The text is parsed with an allow-list of arithmetic and never executed.
+    """
     if not isinstance(text, str):
-        raise ValueError(f"{place}: {text!r} is no expression; {EXAMPLE}")
+        raise ValueError(f"{place}: {text!r} is not an expression; {EXAMPLE}")
     try:
         tree = ast.parse(text.strip() if len(text) <= LONGEST else "(", mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
-        raise ValueError(f"{place}: {text[:80]!r} is no expression; {EXAMPLE}") from None
+        raise ValueError(f"{place}: {text[:80]!r} is not an expression; {EXAMPLE}") from None
 
     def convert(node: ast.AST) -> Any:
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
@@ -361,7 +377,7 @@ def parsed(
                 return constant(CONSTANTS[node.id])
             near = difflib.get_close_matches(node.id, names, 1)
             hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(names)}"
-            raise ValueError(f"{place}: {text!r} has no parameter {node.id}; {hint}")
+            raise ValueError(f"{place}: {text!r} uses an unknown parameter {node.id}; {hint}")
         if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
             return OPERATORS[type(node.op)](convert(node.left), convert(node.right))
         if isinstance(node, ast.UnaryOp) and type(node.op) in OPERATORS:
@@ -376,15 +392,17 @@ def parsed(
     try:
         result: Symbol = convert(tree)
     except OverflowError:
-        raise ValueError(f"{place}: {text[:80]!r} has a number that is too large") from None
+        raise ValueError(f"{place}: {text[:80]!r} contains a number that is too large") from None
     except RecursionError:
-        raise ValueError(f"{place}: {text[:80]!r} is nested too deep; {EXAMPLE}") from None
+        raise ValueError(f"{place}: {text[:80]!r} is nested too deeply; {EXAMPLE}") from None
     if result.number is not None and not np.isfinite(result.number):
-        raise ValueError(f"{place}: {text[:80]!r} is {result.number:g}; expected a finite number")
+        raise ValueError(
+            f"{place}: expected a finite number, got {result.number:g} from {text[:80]!r}"
+        )
     return result
 
 
 EXAMPLE = (
-    "give numbers, names of parameters, + - * / ** and "
-    f"{', '.join(FUNCTIONS)}, such as '1 - a - b' or '2 * sqrt(C)'"
+    "use numbers, parameter names, + - * / ** and "
+    f"{', '.join(FUNCTIONS)}, for example '1 - a - b' or '2 * sqrt(C)'"
 )

@@ -1,4 +1,4 @@
-"""Expressions that are known as a graph, from which their formulas are written when needed."""
+"""Expressions given by a graph; their formulas are generated when needed."""
 
 from __future__ import annotations
 
@@ -16,50 +16,49 @@ from miho.models.symbolic import Symbol, argument, gradient, jointly_linear
 
 Known = tuple[Formula, tuple[int, ...]]
 KNOWN: WeakKeyDictionary[Formula, Known] = WeakKeyDictionary()
-"""Derivatives, and positions of jointly linear parameters, of formulas of this process: thousands
-of fits of one function need them once."""
+"""Derivatives of formulas and positions of linear parameters, cached per process."""
 
 
 class Remade:
-    """A frozen dataclass whose cached properties are made again after unpickling."""
+    """A frozen dataclass whose cached properties are not pickled."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields alone, with the default of one that a pickle of an older version lacks."""
+        """Return the fields only; a field that an older pickle lacks has its default."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class TracedExpression(Remade, Expression):
-    """An expression whose `graph` is a formula of the symbols in `columns` and `arguments`."""
+    """An expression given by `graph`, a formula of the symbols in `columns` and `arguments`."""
 
     @property
     @abstractmethod
     def graph(self) -> Symbol:
-        """The output."""
+        """Graph of the output."""
 
     @cached_property
     def columns(self) -> tuple[Symbol, ...]:
-        """The inputs, x0, x1 and so on."""
+        """Symbols of the inputs: x0, x1, ..."""
         return tuple(argument(f"x{k}") for k in range(len(self.inputs)))
 
     @cached_property
     def arguments(self) -> tuple[Symbol, ...]:
-        """The parameters, p0, p1 and so on."""
+        """Symbols of the parameters: p0, p1, ..."""
         return tuple(argument(f"p{k}") for k in range(len(self.parameters)))
 
     @cached_property
     def value(self) -> Formula:
-        """The output at the inputs."""
+        """Function that computes the output."""
         return self._written("value", [self.graph], single=True)
 
     @cached_property
     def derivatives(self) -> Formula:
-        """The derivatives of the output with respect to the parameters."""
+        """Function that computes the derivatives by the parameters."""
         return self._known[0]
 
     @property
     def jointly_linear(self) -> tuple[str, ...]:
-        """The parameters in which the output is jointly linear, as many as come first."""
+        """Parameters in which the output is jointly linear, chosen in their order."""
         names = tuple(self.parameters)
         return tuple(names[k] for k in self._known[1])
 

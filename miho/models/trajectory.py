@@ -1,4 +1,4 @@
-"""A model given by its right-hand side: the outputs of a motion over time."""
+"""A model given by an ordinary differential equation: outputs along its solution over time."""
 
 from __future__ import annotations
 
@@ -28,48 +28,87 @@ SOLVERS = (RUNGE_KUTTA, "Radau", "BDF", "LSODA")
 INTERPOLATIONS = ("linear", "hold")
 SMALLEST = 1e-12
 LARGEST = 1e100
-"""Derivatives beyond are those of a motion that diverges: their squares would overflow."""
+"""Larger derivatives indicate a diverging solution; their squares would overflow."""
 ORDER = 4
-"""The error of RK4 falls with so high a power of its step."""
+"""Order of convergence of RK4 in the step size."""
 
 
 @dataclass(frozen=True)
 class Trajectory(Model):
     """Outputs y = h(t, x, u, p) along the solution of dx/dt = rhs(t, x, u, p), over time.
 
-    `rhs` and the outputs are plain functions of numbers, with their arguments by name: the time,
-    states and inputs are positional, parameters keyword-only; a keyword with a default is a
-    constant. Annotations are units, as are `units` by name; without it is "-". `rhs` gives one
-    derivative for each state:
+    `rhs` and the outputs are plain functions, which are called with numbers by argument name. The
+    time, states and inputs are positional arguments, and parameters are keyword-only. A keyword
+    argument with a default is a constant. Annotations are units; `units` adds further units by
+    name, and the default is "-". Times must increase from row to row. A solution that fails or
+    diverges is NaN.
 
-        def swing(x: "m", v: "m/s", force: "N", *, k: "N/m", c: "N*s/m", m: "kg" = 2.0):
-            return v, (force - k * x - c * v) / m
+    Derivatives are forward sensitivities of the computed solution. They are exact if `rhs`
+    consists of arithmetic and NumPy's elementwise functions; such equations also run in the
+    virtual machine of `miho.core` if it was compiled. Other functions are differentiated by
+    central differences and run in NumPy.
 
-        Trajectory(swing, states={"x": 0.0, "v": "identified"}, outputs=["x"])
+    Parameters
+    ----------
+    rhs : callable
+        Right-hand side, which returns one derivative per state.
+    states : Mapping[str, float or str]
+        Start of each state, in the order of the derivatives: a number; "measured" for the first
+        row of the column with the name of the state; or "identified" for a parameter (x_0 for
+        the state x, and x_1, x_2, ... in further segments).
+    outputs : sequence of str or callable
+        Names of states, or functions like `rhs` that return one number. The rows of several
+        outputs are stacked, with a column `output` that counts them from 0
+        (`miho.data.stacked`); outputs may be measured at different times.
+    scales : sequence of float, optional
+        Standard deviation of the error of each output. Outputs are divided by it, so outputs with
+        different units are weighted properly, and the unit of the model is "-".
+    interpolation : {"linear", "hold"}, optional
+        Inputs between rows: linear, or constant at the earlier row's value.
+    restart : int, optional
+        By default, the simulation runs freely from the start (output error), which is correct for
+        measurement errors. With a number of rows, the simulation restarts from the measured
+        states after each such number of rows (1: one-step-ahead prediction, equation error),
+        which is correct for disturbances of the motion. Errors of the measured states then
+        propagate into the next rows and bias the parameters.
+    segments : int, optional
+        Number of segments of equal length, each with identified initial states (multiple shooting
+        without continuity constraints). It is valid for both kinds of errors, costs one parameter
+        per state and segment, and smooths the loss of long, sensitive or unstable motions.
+    solver : {"RK4", "Radau", "BDF", "LSODA"}, optional
+        RK4, the classical Runge-Kutta method, or a method of SciPy for stiff equations.
+    substeps : int, optional
+        Steps of RK4 between two rows.
+    tolerance : float, optional
+        Relative tolerance of SciPy's solvers.
+    time : str, optional
+        Name of the time column.
+    units : Mapping[str, str], optional
+        Units by name, in addition to annotations.
+    name : str, optional
+        Name of the model, by default the name of `rhs`.
+    quantities : sequence of callable, optional
+        Functions of some parameters, reported with intervals.
+    source : Path, optional
+        File of the functions.
 
-    states: where each begins, in the order of the derivatives: a number; "measured", in the first
-        row of a column of its name; or "identified", as a parameter called x_0.
-    outputs: names of states, and functions like `rhs` that give one number, with its unit. The
-        data of several outputs stand below each other, with a column `output` that counts them
-        from 0 (`miho.data.stacked`); they need not be measured at the same times.
-    scales: what each output is divided by, the standard deviation of its error, so that outputs of
-        different units weigh what they should. The model's unit is then "-".
-    interpolation: inputs are "linear" from row to row, or "hold" the earlier row's value.
-    restart: None to simulate freely from the start (output error), which is right for errors of
-        measurement. So many rows to start again from the measured states of each so many (1: one
-        step ahead, equation error), which is right for disturbances of the motion: the errors of
-        the measured states go into the rows that follow, and bias parameters.
-    segments: of equal length, each begun at identified states of its own (multiple shooting without
-        the constraint that they meet). That is sound for both kinds of errors, at S parameters a
-        segment: it smooths the loss of long, sensitive or unstable motions.
-    quantities: functions of some parameters, which are reported with their intervals.
-    solver: RK4, `substeps` classical Runge-Kutta steps from row to row; or Radau, BDF or LSODA of
-        SciPy for stiff equations, to the relative `tolerance`.
+    Raises
+    ------
+    ValueError
+        If functions and settings do not fit together, or if times do not increase.
 
-    Derivatives are those of the computed solution (forward sensitivities), exact where `rhs` is
-    arithmetic and NumPy's functions of numbers: it then runs on the machine of `miho.core` too.
-    Others are differenced, and run in NumPy, as all do where the library was installed without a C
-    compiler. A solution that fails or diverges is NaN. Times increase from row to row.
+    References
+    ----------
+    Ljung, System Identification: Theory for the User (1999), Sec. 4.2 (output error and equation
+    error). Bock, in Modelling of Chemical Reaction Systems (1981) (multiple shooting).
+
+    Examples
+    --------
+    >>> def swing(x: "m", v: "m/s", force: "N", *, k: "N/m", c: "N*s/m", m: "kg" = 2.0):
+    ...     return v, (force - k * x - c * v) / m
+    >>> model = Trajectory(swing, states={"x": 0.0, "v": "identified"}, outputs=["x"])
+    >>> dict(model.parameters)
+    {'k': 'N/m', 'c': 'N*s/m', 'v_0': 'm/s'}
     """
 
     rhs: Callable[..., Any]
@@ -106,20 +145,20 @@ class Trajectory(Model):
         self._check_starts()
         self._check_outputs()
         self._check_names()
-        _ = self.equations.traced  # raises where rhs does not give a derivative for each state
+        _ = self.equations.traced  # raises unless rhs returns one derivative per state
 
     def _check_names(self) -> None:
         quantities = [Declared.of(quantity) for quantity in self.quantities]
         known = {self.time, *self._columns, *self.parameters, *(q.name for q in quantities)}
         if self.units.keys() - known:
             strange = min(self.units.keys() - known)
-            raise ValueError(f"units has {strange!r}, which no function takes; remove it")
+            raise ValueError(f"units has {strange!r}, which no function uses; remove it")
         for quantity in quantities:
             unknown = [*quantity.columns, *(quantity.parameters.keys() - self.parameters.keys())]
             if unknown:
                 raise ValueError(
-                    f"{quantity.name}: has the argument {unknown[0]}; a quantity takes parameters "
-                    f"of the model, by keyword: {', '.join(self.parameters)}"
+                    f"{quantity.name}: has the argument {unknown[0]}; expected parameters of the "
+                    f"model, keyword-only: {', '.join(self.parameters)}"
                 )
 
     def _check_starts(self) -> None:
@@ -136,22 +175,22 @@ class Trajectory(Model):
             others = [state for state, start in self.states.items() if start != needed]
             if active and others:
                 raise ValueError(
-                    f"{setting} is {getattr(self, setting)}, which begins at {needed} states; "
+                    f"{setting} is {getattr(self, setting)}, which needs {needed} states; "
                     f"declare {', '.join(others)} as {needed}"
                 )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The settings alone: what was traced is so again."""
+        """Return the settings only, because cached properties are computed again."""
         settings = [getattr(self, f.name) for f in fields(self)]
         return type(self), tuple(settings)
 
     def _check_outputs(self) -> None:
         if not self.outputs or not self.states:
-            raise ValueError(f"{self.name}: outputs and states name at least one each")
+            raise ValueError(f"{self.name}: expected at least one output and one state")
         for output in self.outputs:
             if isinstance(output, str) and output not in self.states:
                 raise ValueError(
-                    f"outputs has {output!r}, which is no state; expected one of "
+                    f"outputs has {output!r}, which is not a state; expected one of "
                     f"{', '.join(self.states)}, or a function"
                 )
         check_scales(self.scales, self._output_units)
@@ -170,7 +209,7 @@ class Trajectory(Model):
 
     @cached_property
     def _columns(self) -> dict[str, str]:
-        """Units of time, states and inputs."""
+        """Units of the time, states and inputs."""
         return _agreeing(self.units, [function.columns for function in self._functions])
 
     @cached_property
@@ -181,12 +220,12 @@ class Trajectory(Model):
 
     @cached_property
     def _driven(self) -> dict[str, str]:
-        """The inputs but time, with their units."""
+        """Units of the inputs, without the time."""
         return {k: v for k, v in self._columns.items() if k != self.time and k not in self.states}
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Time, inputs, measured states, and which output it is where there are several."""
+        """Units of the columns: time, inputs, measured states, and the number of the output."""
         measured = [state for state, start in self.states.items() if start == MEASURED]
         return (
             {self.time: self._columns.get(self.time, self.units.get(self.time, "s"))}
@@ -197,7 +236,7 @@ class Trajectory(Model):
 
     @cached_property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the functions, and the identified states that segments begin at."""
+        """Units of the functions' parameters and of the identified initial states."""
         own = _agreeing(self.units, [function.parameters for function in self._functions])
         starts = {
             f"{state}_{m}": self._columns.get(state, NO_UNIT)
@@ -207,17 +246,19 @@ class Trajectory(Model):
         }
         twice = own.keys() & (starts.keys() | self._columns.keys())
         if twice:
-            raise ValueError(f"{self.name}: {min(twice)} names two things; rename the parameter")
+            raise ValueError(
+                f"{self.name}: the name {min(twice)} is used twice; rename the parameter"
+            )
         return own | starts
 
     @property
     def output(self) -> str:  # type: ignore[override]
-        """The unit of the outputs, "-" of those in multiples of their scales."""
+        """Unit of the outputs, "-" if they are divided by scales."""
         return NO_UNIT if self.scales else self._output_units[0]
 
     @property
     def derived(self) -> Mapping[str, tuple[str, Callable[[Array], Array]]]:  # type: ignore[override]
-        """Unit and function of parameter rows, by the name of each quantity."""
+        """Unit of each quantity and its function of parameter rows, by name."""
         names = list(self.parameters)
 
         def of_rows(quantity: Declared) -> Callable[[Array], Array]:
@@ -230,7 +271,7 @@ class Trajectory(Model):
 
     @cached_property
     def equations(self) -> Equations:
-        """What the functions declare, ready to be evaluated."""
+        """Equations of the declared functions."""
         return Equations(
             self._rhs,
             self._outputs,
@@ -243,11 +284,11 @@ class Trajectory(Model):
 
     @property
     def _taped(self) -> TapedEquations | None:
-        """The solution by the machine, None where it is NumPy's or SciPy's."""
+        """Equations for the machine, None if NumPy or SciPy solves them."""
         return self.equations.taped if self.solver == RUNGE_KUTTA else None
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
+        """Return the outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
         course = self._course(inputs)
         out = np.empty((len(thetas), inputs[0].size))
         if self._taped is not None:
@@ -263,7 +304,7 @@ class Trajectory(Model):
         return out
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs (N, d), by the equations that they obey along the solution."""
+        """Return the derivatives of the outputs (N, d), by the sensitivity equations."""
         course, theta = self._course(inputs), np.array(theta, dtype=float)
         motion = Sensitivities(self.equations, theta, np.maximum(np.abs(theta), SMALLEST))
         if self._taped is not None:
@@ -280,13 +321,13 @@ class Trajectory(Model):
         return stiff(course, motion, self.solver, self.tolerance)
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
-        """A sentence if half the step would move parameters by much of their standard errors."""
+        """Return a sentence if a halved step would change parameters noticeably."""
         if self.solver != RUNGE_KUTTA:
             return []
         return time_step_remarks(self, ORDER, theta, noise, *inputs)
 
     def _course(self, inputs: tuple[Array, ...]) -> Course:
-        """The course that columns (N,) describe, made once for the same read-only columns."""
+        """Return the course of columns (N,), cached for the same read-only columns."""
         key = [id(column) for column in inputs]
         columns: tuple[Array, ...]
         course: Course | None
@@ -313,12 +354,12 @@ class Trajectory(Model):
 
     @cached_property
     def _latest(self) -> list[Any]:
-        """The latest columns and their course."""
+        """The latest columns and their course; keeping the columns keeps their ids valid."""
         return [(), None]
 
 
 def _agreeing(given: Mapping[str, str], groups: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """The units of all names: as given, or as declared by any of the functions that take it."""
+    """Return the units of all names, given or declared by any function with this argument."""
     units: dict[str, str] = {}
     for group in groups:
         for name, declared in group.items():

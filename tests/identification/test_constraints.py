@@ -107,7 +107,7 @@ def test_starts_are_spread_about_the_middle_of_a_chain() -> None:
         (EQUAL, ["a < b", "a < c", "b < a"], "no values satisfy a < b, b < a; remove one"),
         ({"a": (5, 10), "b": (0, 4)}, ["a < b"], "of a from 5 to 10, b from 0 to 4 satisfy a < b"),
         (EQUAL, ["a + b = 30", "c < 3"], "no values of a from 0 to 10, b .* satisfy a \\+ b = 30"),
-        (EQUAL, ["a < bb"], "'bb' has no parameter bb; did you mean b"),
+        (EQUAL, ["a < bb"], "'bb' uses an unknown parameter bb; did you mean b"),
         (EQUAL, ["a * b < 3"], "'a \\* b' is not linear; tie a parameter to others"),
         (EQUAL, ["a"], "expected linear relations, .* 'b - a < 5'; got 'a'"),
         (EQUAL, ["a <"], "got 'a <'"),

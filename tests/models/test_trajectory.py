@@ -403,15 +403,15 @@ def pull(x: Any, *, k: "N/m") -> "N":  # type: ignore[name-defined]  # noqa: F82
     ("settings", "message"),
     [
         ({"states": {"x": "guessed", "v": 0.0}}, "states.x is 'guessed'; expected a number, meas"),
-        ({"states": {"x": 0.0}}, "gives 2 derivatives for the states x; give one for each"),
-        ({"outputs": ["y"]}, "outputs has 'y', which is no state; expected one of x, v"),
-        ({"outputs": []}, "outputs and states name at least one each"),
+        ({"states": {"x": 0.0}}, "expected one derivative for each of the states x, got 2"),
+        ({"outputs": ["y"]}, "outputs has 'y', which is not a state; expected one of x, v"),
+        ({"outputs": []}, "expected at least one output and one state"),
         ({"outputs": ["x", pull]}, "outputs have the units -, N; give scales"),
-        ({"restart": 1}, "restart is 1, which begins at measured states; declare x, v as meas"),
-        ({"segments": 2}, "segments is 2, which begins at identified states; declare v"),
+        ({"restart": 1}, "restart is 1, which needs measured states; declare x, v as meas"),
+        ({"segments": 2}, "segments is 2, which needs identified states; declare v"),
         ({"solver": "Euler"}, "solver is 'Euler'; expected one of RK4, Radau, BDF, LSODA"),
         ({"substeps": 0}, "substeps is 0; expected a whole number"),
-        ({"quantities": [lambda *, q: q]}, "has the argument q; a quantity takes parameters"),
+        ({"quantities": [lambda *, q: q]}, "has the argument q; expected parameters of the model"),
         ({"units": {"k": "N"}, "outputs": [pull]}, "argument k has the units 'N' and 'N/m'"),
     ],
 )
@@ -426,9 +426,9 @@ def test_bad_columns_are_named() -> None:
         OSCILLATOR.predict(theta, T[::-1])
     both = Trajectory(DRIVEN.rhs, {"x": 0.0}, ["x", "x"], name="lag")
     two, index = np.repeat(ROWS, 2), np.tile([0.0, 1.0], ROWS.size)
-    with pytest.raises(ValueError, match="force has two values at t = 0; give the outputs"):
+    with pytest.raises(ValueError, match="force has two values at t = 0; give all outputs"):
         both.predict(theta[:, :1], two, np.arange(two.size), index)
-    with pytest.raises(ValueError, match="column output is 0 to 2; expected whole numbers from 0"):
+    with pytest.raises(ValueError, match="column output: expected whole numbers from 0 to 1"):
         both.predict(theta[:, :1], two, np.repeat(FORCE, 2), 2 * index)
 
 
