@@ -386,11 +386,11 @@ def test_force_and_moment_of_a_tire_share_coefficients(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("x", "y", "space", "message"),
     [
-        (["alpha", "Fz"], "Fy", (), "no coefficient is free"),
-        (["alpha", "Fz"], "Fy", ["PDY"], "'PDY' is no coefficient of MF 6.1"),
-        (["alpha", "Fz"], "Fy", ["FZMIN"], "'FZMIN' is no coefficient"),
+        (["alpha", "Fz"], "Fy", (), "coefficients is empty; name"),
+        (["alpha", "Fz"], "Fy", ["PDY"], "'PDY', which is given twice or not a"),
+        (["alpha", "Fz"], "Fy", ["FZMIN"], "'FZMIN', which is"),
         (["alpha", "Fz"], "alpha", ["PDY1"], "expected Fx, Fy, Mz"),
-        (["alpha"], "Fy", ["PDY1"], "expected Fz and alpha or kappa"),
+        (["alpha"], "Fy", ["PDY1"], "expected at least Fz"),
     ],
 )
 def test_a_tire_that_cannot_be_fitted(x: list[str], y: str, space: Any, message: str) -> None:

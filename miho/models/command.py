@@ -1,7 +1,7 @@
-"""A model that is a program: files in, numbers out, in a folder of its own for each call.
+"""An external program as a model, which exchanges files in a temporary folder for each call.
 
-Not among the names of `miho.models`, so that no configuration, which may come from somebody else,
-can name a program to run.
+`miho.models` does not export this model, so that a configuration from an untrusted source cannot
+run a program.
 """
 
 from __future__ import annotations
@@ -26,14 +26,32 @@ PARAMETERS, INPUTS, OUTPUT = "parameters.json", "inputs.csv", "output.txt"
 class CommandModel(ExternalModel):
     """A program that computes the output (N,) at one configuration.
 
-    command: the program and its arguments, run without a shell in an empty folder that is removed
-        afterwards. It finds there parameters.json, numbers by name, and inputs.csv, a header and
-        the columns to 17 digits; it writes output.txt, a number for each row.
-    seconds: after which it is killed.
-    step: of the central differences, relative to the parameter (or 1 for 0).
+    The program runs without a shell in a temporary folder, which is removed afterwards. It reads
+    parameters.json (numbers by name) and inputs.csv (a header, then the columns with 17 digits),
+    and writes output.txt (one number per row). A call gives NaN if the program fails, takes too
+    long or writes anything else.
 
-    A call that fails, takes too long or writes something else has no value (NaN); one where the
-    program is not found raises ValueError.
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+    inputs : Mapping[str, str]
+        Units of the columns, by name.
+    parameters : Mapping[str, str]
+        Units of the parameters, by name.
+    output : str
+        Unit of the output.
+    seconds : float, optional
+        Time limit of a call [s], after which the program is killed.
+    step : float, optional
+        Step of central differences, relative to the parameter, or absolute if it is 0.
+    name : str, optional
+        Name of the model.
+
+    Raises
+    ------
+    ValueError
+        If settings are invalid, or if the program does not exist or is not executable.
     """
 
     command: Sequence[str]
@@ -49,11 +67,11 @@ class CommandModel(ExternalModel):
         positive("step", self.step)
         if isinstance(self.command, str) or not self.command:
             raise ValueError(
-                f"command is {self.command!r}; expected a list: the program, then each argument"
+                f"command is {self.command!r}; expected a list of the program and its arguments"
             )
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d), one run of the program for each."""
+        """Return the outputs (n, N) of parameter rows (n, d), with one run of the program each."""
         return np.array([self._run(theta, inputs) for theta in thetas])
 
     def _run(self, theta: Array, inputs: Sequence[Array]) -> Array:
@@ -74,7 +92,8 @@ class CommandModel(ExternalModel):
             except (FileNotFoundError, PermissionError) as error:
                 if error.filename == self.command[0]:
                     raise ValueError(
-                        f"command: {self.command[0]!r} cannot be run: {error.strerror}"
+                        f"command: cannot run {self.command[0]!r}: {error.strerror}; give the path "
+                        "of an executable program"
                     ) from None
                 return np.full(rows, np.nan)
             except (subprocess.SubprocessError, ValueError):

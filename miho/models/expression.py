@@ -1,4 +1,4 @@
-"""Models written once as an expression, which NumPy and the machine of formulas evaluate."""
+"""Models given by one expression, which NumPy and the virtual machine evaluate."""
 
 from __future__ import annotations
 
@@ -17,41 +17,39 @@ from miho.quantities import Array
 
 Tapes = tuple[Tape, Tape] | None
 TAPES: WeakKeyDictionary[Formula, tuple[Formula, Tapes]] = WeakKeyDictionary()
-"""Derivatives and tapes of formulas of this process: thousands of fits of a function need them
-once."""
+"""Derivatives and tapes of formulas, cached per process for many fits of one function."""
 
 
 class Expression(Model):
-    """A model whose output at a row depends on that row and theta alone, as one expression.
+    """A model whose output at a row is one expression of that row and theta.
 
     `value` and `derivatives` are plain functions of two tuples, the inputs and the parameters in
-    their order. They use arithmetic and NumPy's functions of numbers, without branches, so that
-    numbers, arrays and the symbols of a tape go through the same lines. What they need besides is
-    in their closure, as plain numbers. One that the machine of `miho.core` cannot run, as it calls
-    other functions, runs in NumPy.
+    order. They use arithmetic and NumPy's elementwise functions without branches, so the same code
+    runs with numbers, arrays and the symbols of a tape. Further numbers are in their closures. An
+    expression with other functions cannot run in the machine of `miho.core` and runs in NumPy.
     """
 
     @final
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
-        """Itself: arithmetic is never dear."""
+        """Return this model, because arithmetic is never expensive."""
         return self
 
     @property
     @abstractmethod
     def value(self) -> Formula:
-        """The output at the inputs."""
+        """Function that computes the output."""
 
     @property
     @abstractmethod
     def derivatives(self) -> Formula:
-        """A tuple of derivatives of the output, one for each parameter, as wide as the inputs."""
+        """Function that computes the derivatives, one array per parameter."""
 
     @final
     @property
     def tapes(self) -> Tapes:
-        """The output and its derivatives for the machine of `miho.core`.
+        """Tapes of the output and its derivatives for the machine of `miho.core`.
 
-        None where the formulas cannot be traced, or are too long for it.
+        None if the formulas cannot be traced, or are too long for the machine.
         """
         value, derivatives = self.value, self.derivatives
         known, tapes = TAPES.get(value, (None, None))
@@ -62,8 +60,8 @@ class Expression(Model):
 
     @final
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
-        with np.errstate(all="ignore"):  # without a value it is NaN or infinite, as on the machine
+        """Return the outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
+        with np.errstate(all="ignore"):  # NaN or infinite without a value, as in the machine
             rows = np.asarray(self.value(inputs, tuple(thetas.T[:, :, None])))
         shape = len(thetas), inputs[0].size
         own = rows.shape == shape and rows.base is None
@@ -71,7 +69,7 @@ class Expression(Model):
 
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, d), at one configuration (d,); rows (n, d): (n, N, d)."""
+        """Return the derivatives of the outputs: (N, d) at theta (d,), (n, N, d) at rows (n, d)."""
         with np.errstate(all="ignore"):
             columns = self.derivatives(inputs, tuple(theta.T[..., None]))
         jacobian = np.empty((*theta.shape[:-1], inputs[0].size, len(columns)))

@@ -1,4 +1,4 @@
-"""An FMU as a model: a simulation behind the Functional Mock-up Interface, run by FMPy."""
+"""An FMU (Functional Mock-up Unit) as a model, simulated by FMPy."""
 
 from __future__ import annotations
 
@@ -32,42 +32,70 @@ REAL = ("Real", "Float64", "Float32")
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 INTERFACES = {CO_SIMULATION: "coSimulation", MODEL_EXCHANGE: "modelExchange"}
 FATAL = 4
-"""The status after which no function of an instance may be called."""
+"""Status after which no function of an instance may be called."""
 STREAMS = (1, 2)
-"""Standard output and error, as C knows them."""
+"""File descriptors of standard output and error."""
 LISTED = 20
-"""Names of an FMU that a message lists at most."""
+"""Largest number of an FMU's names in a message."""
 ROUNDING = 1e-6
-"""A time this close to a step, as a share of it, is at it."""
+"""Tolerance of times, as a fraction of a step."""
 ORDER = 2
-"""The error of inputs that are held over a step, at their mean, falls with this power of it."""
+"""Order of convergence in the step size, for inputs held at their mean over a step."""
 
 
 @dataclass(frozen=True)
 class FmuModel(Remade, ExternalModel):
     """Outputs of an FMU (co-simulation or model exchange; FMI 2, others untested) over time.
 
-        FmuModel("swing.fmu", identified=["k", "c"], outputs=["x"], columns=["force"])
+    The FMU is unzipped and instantiated once, and reset between simulations. A simulation that
+    fails or takes too long gives NaN, and output that the FMU prints is discarded. The binary of
+    the FMU runs in this process without a sandbox: if it crashes, the process ends. Use FMUs from
+    trusted sources only.
 
-    identified: parameters, and start values of states, that are parameters of this model; with a
-        mapping, the FMU's names by those here.
-    outputs: variables of the FMU. The data of several stand below each other, with a column
-        `output` that counts them from 0 (`miho.data.stacked`).
-    columns: inputs of the FMU that are columns of the data, straight from row to row; with a
-        mapping, the FMU's names by those here. Other inputs keep their start values.
-    scales: what each output is divided by, the standard deviation of its error, as of `Trajectory`.
-    interface: CoSimulation or ModelExchange; empty for the first of these that the FMU has.
-    substeps: communication steps from row to row, of the median distance of rows; outputs are
-        straight between them. A co-simulation holds inputs over a step, at their value amid it.
-    tolerance: relative, of FMPy's solver (CVODE), and of an FMU's own that heeds it.
-    seconds: after which a simulation is given up, at the end of one of its steps.
-    step: of the central differences, relative to the parameter (for 0, to its start value or 1).
-    time: the column of time. units: by name, where they are not as the FMU says.
+    Parameters
+    ----------
+    path : str
+        The .fmu file.
+    identified : sequence of str or Mapping[str, str]
+        Parameters and start values of states of the FMU that are parameters of this model. A
+        mapping gives the FMU's name for each name in this model.
+    outputs : sequence of str
+        Variables of the FMU. The rows of several outputs are stacked, with a column `output` that
+        counts them from 0 (`miho.data.stacked`).
+    columns : sequence of str or Mapping[str, str], optional
+        Inputs of the FMU that are columns of the data, linear between rows; a mapping as above.
+        Other inputs keep their start values.
+    scales : sequence of float, optional
+        Standard deviation of the error of each output, as in `Trajectory`.
+    interface : {"CoSimulation", "ModelExchange"}, optional
+        By default the first of these interfaces that the FMU has.
+    substeps : int, optional
+        Communication steps per median distance of rows. Outputs are linear between the steps. A
+        co-simulation holds inputs over a step at their value in its middle.
+    tolerance : float, optional
+        Relative tolerance of FMPy's solver (CVODE), and of the FMU's solver if it supports this.
+    seconds : float, optional
+        Time limit of a simulation [s], checked at the end of each step.
+    step : float, optional
+        Step of central differences, relative to the parameter. A parameter that is 0 uses its
+        start value, or 1.
+    time : str, optional
+        Name of the time column.
+    units : Mapping[str, str], optional
+        Units by name, which replace the units of the FMU.
 
-    The FMU is unzipped and instantiated once, and reset between simulations. One that fails, or
-    takes too long, is NaN; what the FMU prints is dropped. Its binary runs in this process, with
-    all that it may do: where it crashes, the process ends. Raises ValueError for a file that is no
-    FMU for this platform and for names that it does not have, ImportError without FMPy.
+    Raises
+    ------
+    ValueError
+        If the file is not an FMU for this platform, or does not have one of the names.
+    ImportError
+        If FMPy is not installed.
+
+    Examples
+    --------
+    >>> model = FmuModel(
+    ...     "swing.fmu", identified=["k", "c"], outputs=["x"], columns=["force"]
+    ... )  # doctest: +SKIP
     """
 
     path: str
@@ -91,13 +119,17 @@ class FmuModel(Remade, ExternalModel):
                 f"interface is {self.interface!r}; {self.path} has {', '.join(self._interfaces)}"
             )
         if not self._parameters or not self.outputs:
-            raise ValueError(f"{self.path}: identified and outputs name at least one variable each")
+            raise ValueError(
+                f"{self.path}: expected at least one name in each of identified and outputs"
+            )
         self._check("identified", self._parameters.values(), _is_set_before)
         self._check("columns", self._inputs.values(), lambda v: v.causality == "input")
         self._check("outputs", self.outputs, lambda v: v.causality != "input")
         strange = self.units.keys() - {*self.inputs, *self.parameters, *self.outputs}
         if strange:
-            raise ValueError(f"units has {min(strange)!r}, which nothing here is called; remove it")
+            raise ValueError(
+                f"units has {min(strange)!r}, which is not a name of this model; remove it"
+            )
         check_scales(self.scales, [self._unit(name, name) for name in self.outputs])
 
     def _check(self, setting: str, names: Iterable[str], fits: Callable[[Any], bool]) -> None:
@@ -106,23 +138,23 @@ class FmuModel(Remade, ExternalModel):
             if name not in fitting:
                 listed = ", ".join(fitting[:LISTED]) + ", ..." * (len(fitting) > LISTED)
                 raise ValueError(
-                    f"{setting} has {name!r}; choose from what {self.path} has of that kind: "
-                    f"{listed or 'nothing'}"
+                    f"{setting} has {name!r}; expected one of these variables of {self.path}: "
+                    f"{listed or '(none)'}"
                 )
 
     @cached_property
     def _parameters(self) -> dict[str, str]:
-        """The FMU's names of the parameters, by those here."""
+        """The FMU's names of the parameters, by their names in this model."""
         return _by_name(self.identified)
 
     @cached_property
     def _inputs(self) -> dict[str, str]:
-        """The FMU's names of the columns, by those here."""
+        """The FMU's names of the columns, by their names in this model."""
         return _by_name(self.columns)
 
     @cached_property
     def _description(self) -> Any:
-        """What FMPy reads of the FMU: names, units, interfaces."""
+        """FMPy's description of the FMU: names, units, interfaces."""
         check_regular(self.path)
         fmpy = _fmpy()
         try:
@@ -130,26 +162,26 @@ class FmuModel(Remade, ExternalModel):
             description = fmpy.read_model_description(self.path)
         except Exception as error:
             reason = " ".join(str(error).split())
-            raise ValueError(f"{self.path}: is no FMU that can be read: {reason}") from error
+            raise ValueError(f"{self.path}: cannot be read as an FMU: {reason}") from error
         if fmpy.platform not in platforms:
             raise ValueError(
-                f"{self.path}: is made for {', '.join(platforms)}, not for {fmpy.platform}; export "
-                "it with binaries for this platform"
+                f"{self.path}: has binaries for {', '.join(platforms)}, not for {fmpy.platform}; "
+                "export it with binaries for this platform"
             )
         return description
 
     @cached_property
     def _variables(self) -> dict[str, Any]:
-        """The scalar variables of the FMU by name."""
+        """Scalar variables of the FMU, by name."""
         return {v.name: v for v in self._description.modelVariables if not v.shape}
 
     @cached_property
     def _interfaces(self) -> list[str]:
-        """Those that the FMU has."""
+        """Interfaces of the FMU."""
         return [name for name, key in INTERFACES.items() if getattr(self._description, key)]
 
     def _unit(self, name: str, variable: str) -> str:
-        """The unit of a name here: as given, or as the FMU says; "" where nobody says."""
+        """Return the unit of a name: given by `units` or by the FMU, otherwise ""."""
         declared = self._variables[variable]
         simple = declared.declaredType
         unit = declared.unit or (simple.unit if simple is not None else None)
@@ -157,7 +189,7 @@ class FmuModel(Remade, ExternalModel):
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Time, the columns, and which output it is where there are several."""
+        """Units of the columns: time, inputs, and the number of the output."""
         return (
             {self.time: self.units.get(self.time, "s")}
             | {name: self._unit(name, own) for name, own in self._inputs.items()}
@@ -171,12 +203,12 @@ class FmuModel(Remade, ExternalModel):
 
     @property
     def output(self) -> str:  # type: ignore[override]
-        """The unit of the outputs, "-" of those in multiples of their scales."""
+        """Unit of the outputs, "-" if they are divided by scales."""
         return NO_UNIT if self.scales else self._unit(self.outputs[0], self.outputs[0])
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """The file's."""
+        """Name of the file."""
         return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(self.path).stem)
 
     @property
@@ -186,19 +218,19 @@ class FmuModel(Remade, ExternalModel):
 
     @property
     def typical(self) -> Array:
-        """The sizes of the start values (d,), 1 for 0."""
+        """Absolute start values (d,), with 1 in place of 0."""
         starts = [self._variables[name].start for name in self._parameters.values()]
         return np.array([abs(float(start or 0.0)) or 1.0 for start in starts])
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d) at input columns (N,), a simulation for each."""
+        """Return the outputs (n, N) of parameter rows (n, d), with one simulation per row."""
         columns = dict(zip(self.inputs, inputs, strict=True))
         own = Layout(
             self.time, tuple(self._inputs), {}, (), len(self.outputs), None, 1, False, self.substeps
         )  # fmt: skip
         course = own.course(columns)
         if course.t.size < 2:
-            raise ValueError(f"{self.name}: a simulation needs rows at two times at least")
+            raise ValueError(f"{self.name}: expected rows at two different times or more, got one")
         out = np.full((len(thetas), inputs[0].size), np.nan)
         for theta, values in zip(thetas, out, strict=True):
             result = self._simulated(theta, course.t, course.u.T)
@@ -209,17 +241,17 @@ class FmuModel(Remade, ExternalModel):
         return out
 
     def _simulated(self, theta: Array, t: Array, u: Array) -> Any:
-        """FMPy's table of the outputs at all steps from the first to the last of the times t (N,).
+        """Return FMPy's table of the outputs at all steps over the times t (N,).
 
-        Inputs u (q, N) are straight between these. None for a simulation that failed.
+        Inputs u (q, N) are linear between the times. The result is None if the simulation fails.
         """
         interval = float(np.median(np.diff(t))) / self.substeps
         end = t[0] + interval * np.ceil((t[-1] - t[0]) / interval - ROUNDING)
         simulation = self._simulation
         instance, signals = simulation.ready(), None
         if self._inputs:
-            # FMPy asks for inputs at the beginning of a step of a co-simulation, which holds them.
-            # Its solver does not ask for them within its steps, but sets the time.
+            # FMPy reads inputs at the beginning of a co-simulation step and holds them. Its solver
+            # does not read inputs within its steps, but sets the time.
             co_simulation = simulation.interface == CO_SIMULATION
             ahead = interval / 2 if co_simulation else 0.0
             fields = [("time", float), *((name, float) for name in self._inputs.values())]
@@ -244,7 +276,7 @@ class FmuModel(Remade, ExternalModel):
         return result if result["time"][-1] >= end - interval / 2 else None
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
-        """A sentence if half the step would move parameters by much of their standard errors."""
+        """Return a sentence if a halved step would change parameters noticeably."""
         return time_step_remarks(self, ORDER, theta, noise, *inputs)
 
     @cached_property
@@ -253,7 +285,7 @@ class FmuModel(Remade, ExternalModel):
 
 
 class _Simulation:
-    """An unzipped FMU and its instance; the folder goes with the last reference to it."""
+    """An unzipped FMU and its instance; the folder is removed with the last reference."""
 
     def __init__(self, path: str, description: Any, interface: str) -> None:
         self.folder: str = tempfile.mkdtemp(prefix="miho-")
@@ -263,7 +295,7 @@ class _Simulation:
         _fmpy().extract(path, self.folder)
 
     def ready(self) -> Any:
-        """The instance as it was first, or a new one where there is none that can be reset."""
+        """Return the instance after a reset, or a new instance if the reset fails."""
         if self._instance is not None and not self._reset():
             self._instance = None
         if self._instance is None:
@@ -278,7 +310,7 @@ class _Simulation:
         return self._instance
 
     def drive(self, variables: Sequence[Any], t: Array, u: Array) -> None:
-        """Let the instance have the inputs u (q, N) over t (N,) wherever its time is set."""
+        """Make the instance set the inputs u (q, N) over t (N,) with each setting of its time."""
         instance = self._instance
         setter = getattr(instance, f"set{variables[0].type}")
         references = [variable.valueReference for variable in variables]
@@ -290,14 +322,14 @@ class _Simulation:
         instance.setTime = set_time
 
     def failed(self, error: Exception) -> None:
-        """Give an instance up of which no function may be called any more."""
+        """Discard the instance after a fatal error."""
         if getattr(error, "status", None) == FATAL:
             self._instance = None
 
     def _reset(self) -> bool:
         try:
             self._instance.reset()
-        except Exception:  # noqa: BLE001 -- it has no such function, or fails in it
+        except Exception:  # noqa: BLE001 -- reset is missing or fails
             with contextlib.suppress(Exception):
                 self._instance.freeInstance()
             return False
@@ -306,7 +338,7 @@ class _Simulation:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Drop what is printed, by C as well, and raise what a solver's callbacks raised unheard."""
+    """Discard printed output, also from C, and raise errors from a solver's callbacks."""
     unheard: list[BaseException | None] = []
     usual, sys.unraisablehook = sys.unraisablehook, lambda raised: unheard.append(raised.exc_value)
     saved, nowhere = [os.dup(stream) for stream in STREAMS], os.open(os.devnull, os.O_WRONLY)
@@ -330,7 +362,7 @@ def _fmpy() -> Any:
         import fmpy
     except ModuleNotFoundError as error:
         raise ImportError(
-            f"an FMU needs a library that is missing ({error.name}); pip install 'miho[fmu]'"
+            f"FMUs need a library that is missing ({error.name}); pip install 'miho[fmu]'"
         ) from None
     return fmpy
 
@@ -340,12 +372,12 @@ def _by_name(names: Names) -> dict[str, str]:
 
 
 def _is_set_before(variable: Any) -> bool:
-    """Whether a variable may be set before a simulation (FMI 2.0.4, Sec. 2.2.7)."""
+    """Return whether a variable may be set before a simulation (FMI 2.0.4, Sec. 2.2.7)."""
     starts = variable.start is not None or variable.initial == "exact"
     return bool(starts and variable.variability != "constant" and variable.causality != "input")
 
 
 def _spelled(unit: str | None) -> str:
-    """A unit of an FMU, such as N.m or m/s2, as it is spelled here."""
+    """Return a unit of an FMU, for example N.m or m/s2, in the spelling of this package."""
     text = re.sub(r"(?<=[A-Za-z])(-?[0-9]+)", r"^\1", unit or "").replace(".", "*")
     return {"N*m": "Nm", "1": NO_UNIT}.get(text, text)

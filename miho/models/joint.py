@@ -1,4 +1,4 @@
-"""Several models of rows of their own with parameters in common: several outputs or datasets."""
+"""Joint models: several outputs or datasets with shared parameters."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from miho.models.traced import TracedExpression
 from miho.quantities import Array
 
 PART = "part of the row"
-"""The first input: the position of the part that a row belongs to."""
+"""Name of the first input: the number of the part of each row, from 0."""
 
 
 class JointPart(NamedTuple):
-    """A model with the names that its parameters, in its order, have among all."""
+    """A model with the joint names of its parameters, in its order."""
 
     name: str
     model: Model
@@ -34,11 +34,11 @@ class JointPart(NamedTuple):
 
 @dataclass(frozen=True)
 class JointModel(Model):
-    """The output of the part that a row belongs to; columns that other parts read may be anything.
+    """Several models, each of which predicts its rows of the data.
 
-    A parameter of one name is one parameter. Inputs of one name stand in one column; they and such
-    parameters must agree in their units. Raises ValueError if not. `output` is the parts' unit, ""
-    where they differ.
+    Parts share parameters and input columns with the same name. Raises ValueError if the units of
+    a shared name differ. A part ignores columns that are not its inputs. `output` is the unit of
+    the parts, "" if their units differ.
     """
 
     parts: tuple[JointPart, ...]
@@ -56,18 +56,18 @@ class JointModel(Model):
                     if unit != needed:
                         raise ValueError(
                             f"{name} has the unit {needed!r} in {first} and {unit!r} in "
-                            f"{part.name}; use one, or another name"
+                            f"{part.name}; use one unit, or different names"
                         )
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
-        """The joint model of parts with wrapped leaves."""
+        """Return the joint model of parts with wrapped leaves."""
         return JointModel(
             tuple(part._replace(model=part.model.with_leaves(wrap)) for part in self.parts)
         )
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The part, then the inputs of all."""
+        """Units of the part's number and of the inputs of all parts."""
         units = {PART: "-"}
         for part in self.parts:
             units |= part.model.inputs
@@ -75,7 +75,7 @@ class JointModel(Model):
 
     @cached_property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of all parts, in the order in which they come first."""
+        """Units of the parameters of all parts, in order of first use."""
         units: dict[str, str] = {}
         for part in self.parts:
             own = zip(part.parameters, part.model.parameters.values(), strict=True)
@@ -84,7 +84,7 @@ class JointModel(Model):
 
     @property
     def output(self) -> str:  # type: ignore[override]
-        """The parts' unit, "" where they differ."""
+        """Unit of the parts, "" if their units differ."""
         units = {part.model.output for part in self.parts}
         return units.pop() if len(units) == 1 else ""
 
@@ -95,7 +95,7 @@ class JointModel(Model):
 
     @property
     def defaults(self) -> Mapping[str, float]:  # type: ignore[override]
-        """Of the parameters that have the same default in each part that they belong to."""
+        """Defaults of parameters with the same default in each part that uses them."""
         values: dict[str, set[float | None]] = {}
         for part in self.parts:
             own = part.model.defaults
@@ -111,9 +111,9 @@ class JointModel(Model):
 
     @cached_property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The parameters in which every part that has them is linear.
+        """Parameters in which every part that uses them is linear.
 
-        A row depends on one part, so those are jointly linear that are so in each.
+        Each row depends on one part, so the output is jointly linear in these parameters.
         """
 
         def bent(name: str) -> bool:
@@ -127,14 +127,14 @@ class JointModel(Model):
         return tuple(name for name in self.parameters if not bent(name))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d) at input columns (N,), the first the part."""
+        """Return the outputs (n, N) of parameter rows (n, d); the first input is the part."""
         values = np.empty((len(thetas), inputs[0].size))
         for part, rows, chosen, columns in self._shares(inputs):
             values[:, rows] = part.model.predict(thetas[:, chosen], *columns)
         return values
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, d), at one configuration (d,)."""
+        """Return the derivatives of the outputs, (N, d), at one configuration (d,)."""
         derivatives = np.zeros((inputs[0].size, theta.size))
         for part, rows, chosen, columns in self._shares(inputs):
             slopes = part.model.jacobian(theta[chosen], *columns)
@@ -144,7 +144,7 @@ class JointModel(Model):
     def _shares(
         self, inputs: tuple[Array, ...]
     ) -> list[tuple[JointPart, NDArray[np.intp], list[int], list[Array]]]:
-        """Each part with its rows, the positions of its parameters, and its columns."""
+        """Return each part with its rows, the positions of its parameters, and its columns."""
         names, places = list(self.inputs), list(self.parameters)
         shares = []
         for k, part in enumerate(self.parts):
@@ -157,9 +157,9 @@ class JointModel(Model):
 
 @dataclass(frozen=True)
 class JointExpression(TracedExpression):
-    """A joint model whose parts are one expression: that of the parameters that the part selects.
+    """A joint model with one expression for all parts; the part's number selects parameters.
 
-    So the machine can run it; and NumPy evaluates it sooner than part by part.
+    The machine can run it, and NumPy evaluates it faster than part by part.
     """
 
     joint: JointModel
@@ -176,7 +176,7 @@ class JointExpression(TracedExpression):
 
     @cached_property
     def graph(self) -> Symbol:
-        """The output; raises NotAFormulaError for an expression that cannot be traced."""
+        """Graph of the output; raises NotAFormulaError if the expression cannot be traced."""
         index, *columns = self.columns
         symbols = dict(zip(self.parameters, self.arguments, strict=True))
         count = range(len(self.joint.parts))
@@ -194,9 +194,9 @@ class JointExpression(TracedExpression):
 
 
 def joined(model: JointModel) -> Model:
-    """A joint model as an expression, if its parts are one that can be traced."""
+    """Return a joint model as an expression if all parts are one that can be traced."""
     first = model.parts[0].model
-    with contextlib.suppress(NotAFormulaError, ValueError):  # arrays in models do not compare
+    with contextlib.suppress(NotAFormulaError, ValueError):  # models with arrays do not compare
         if isinstance(first, Expression) and all(part.model == first for part in model.parts):
             expression = JointExpression(model, first)
             _ = expression.graph
@@ -205,16 +205,16 @@ def joined(model: JointModel) -> Model:
 
 
 def parts_of(model: Model) -> tuple[JointPart, ...]:
-    """The parts of a joint model, also of one that is an expression or tied; none of another."""
+    """Return the parts of a joint model, which may be an expression or tied; () for others."""
     whole = whole_model(model)
     whole = whole.joint if isinstance(whole, JointExpression) else whole
     return whole.parts if isinstance(whole, JointModel) else ()
 
 
 def rows_of_parts(model: Model, inputs: Sequence[Array]) -> dict[str, NDArray[np.bool_]]:
-    """Which rows (N,) belong to each part of a joint model, by name.
+    """Return the rows (N,) of each part of a joint model as masks by name.
 
-    Those of each output of a model that has several; none of another model.
+    For a model with several outputs, return the rows of each output; otherwise an empty mapping.
     """
     columns = dict(zip(model.inputs, inputs, strict=True))
     names = [part.name for part in parts_of(model)]

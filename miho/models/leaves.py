@@ -1,4 +1,4 @@
-"""The models that a model is made of and that may be dear: how they are called, and by whom."""
+"""Leaves of a model: the components that may be expensive, and how they are called."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from miho.parallel import Evaluations
 from miho.quantities import Array
 
 DIGITS = 16
-"""Of the digests that tell what a journal is of."""
+"""Length of the digests that identify a journal."""
 
 
 def dear_leaves(model: Model) -> list[Model]:
-    """The models that a model is made of and that may be dear, in their order."""
+    """Return the components of a model that may be expensive, in their order."""
     leaves = list[Model]()
 
     def note(leaf: Model) -> Model:
@@ -37,9 +37,9 @@ def dear_leaves(model: Model) -> list[Model]:
 def spread(
     model: Model, evaluations: Evaluations, losses: Callable[[Array], Array] | None = None
 ) -> Model:
-    """The model with outputs of its leaves that are evaluated by these.
+    """Return the model with its leaves evaluated by `evaluations`.
 
-    `losses` (n,) of its outputs (n, N) are those of its only leaf, if it has no other.
+    `losses` maps outputs (n, N) to losses (n,). It is used only if the model has a single leaf.
     """
     count, of_leaf = itertools.count(), losses if len(dear_leaves(model)) == 1 else None
     return model.with_leaves(
@@ -48,13 +48,13 @@ def spread(
 
 
 def tried_calls(model: Model) -> list[list[bool | None]]:
-    """What trial calls have shown of its functions (`Calls`), nothing for other leaves."""
+    """Return the results of trial calls (`Calls`) of each leaf, [] unless it is a function."""
     leaves = dear_leaves(model)
     return [list(leaf.tried) if isinstance(leaf, FunctionModel) else [] for leaf in leaves]
 
 
 def called(model: Model, calls: Iterable[Any]) -> Model:
-    """The model, whose functions are called as `tried_calls` said of the same one, if anything."""
+    """Return the model with its functions called as found by `tried_calls` of the same model."""
     known = iter(calls)
 
     def as_known(leaf: Model) -> Model:
@@ -67,7 +67,7 @@ def called(model: Model, calls: Iterable[Any]) -> Model:
 
 
 def description(model: Model, columns: Sequence[Array]) -> str:
-    """Digests of columns of data and of the leaves, whatever is known of how they are called."""
+    """Return digests of data columns and leaves, independent of the results of trial calls."""
     data = hashlib.sha256()
     for column in columns:
         data.update(np.ascontiguousarray(column).tobytes())

@@ -1,4 +1,4 @@
-"""A model whose rows of parameters are evaluated by workers."""
+"""A model with evaluations by workers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from miho.quantities import Array
 
 
 class SpreadModel(Model):
-    """Another model, evaluated by `evaluations`; differences are taken here, of what those give.
+    """A model whose parameter rows are evaluated by `evaluations`.
 
-    Derivatives of a model's own are an evaluation as well. `place` tells the models of one problem
-    apart. `losses` (n,) of outputs (n, N) say which are best, where that is known.
+    Differences are computed in this process, from outputs of the workers. Analytic derivatives are
+    evaluated by workers. `place` identifies the model within its problem. `losses` maps outputs
+    (n, N) to losses (n,), if known; they show which evaluations are best.
     """
 
     def __init__(
@@ -37,17 +38,17 @@ class SpreadModel(Model):
 
     @property
     def jacobian_cost(self) -> int | None:  # type: ignore[override]
-        """That of the model."""
+        """Cost of a Jacobian of the model."""
         return self.model.jacobian_cost
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Outputs (n, N) of parameter rows (n, d)."""
+        """Return the outputs (n, N) of parameter rows (n, d)."""
         if self._evaluations.resting():
             return self._evaluations.worth.brief(self.model.predict, thetas, *inputs)
         return self._task("predict", inputs, self.model.predict, (inputs[0].size,))(thetas)
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, d)."""
+        """Return the derivatives of the outputs, (N, d)."""
         if isinstance(self.model, DifferencedModel | ExternalModel):
             return np.asarray(self.model.differences(self.predict, theta, *inputs))
         if self._evaluations.resting():
@@ -57,7 +58,7 @@ class SpreadModel(Model):
         return np.asarray(self._task("jacobian", inputs, jacobians, shape)(theta[None])[0])
 
     def known(self, *inputs: Array) -> tuple[Array, Array]:
-        """Parameter rows (n, d) whose outputs (n, N) at these inputs stand in the journal."""
+        """Return parameter rows (n, d) and outputs (n, N) at these inputs from the journal."""
         known = self._evaluations.known(self._name("predict", self._digest(inputs)))
         thetas, outputs = zip(*known, strict=True) if known else ((), ())
         rows = np.reshape(thetas, (-1, len(self.parameters)))
@@ -73,7 +74,7 @@ class SpreadModel(Model):
         function: Callable[..., Array],
         shape: tuple[int, ...],
     ) -> Evaluated:
-        """What evaluates one kind at these inputs, which travel with it once."""
+        """Return the evaluated function at these inputs, which are sent to workers once."""
         digest = self._digest(inputs)
         if (kind, digest) not in self._tasks:
             columns = tuple(np.array(column) for column in inputs)
@@ -83,7 +84,7 @@ class SpreadModel(Model):
         return self._tasks[kind, digest]
 
     def _digest(self, inputs: tuple[Array, ...]) -> bytes:
-        """What tells inputs apart; of the same arrays it is known from before."""
+        """Return a digest of the inputs, cached for the same arrays."""
         identity = tuple(map(id, inputs))
         if identity not in self._digests:
             digest = hashlib.blake2b(digest_size=8)
@@ -91,16 +92,16 @@ class SpreadModel(Model):
                 digest.update(np.ascontiguousarray(column).tobytes())
             if len(self._digests) > MOST_INPUTS:
                 self._digests.clear()
-            self._digests[identity] = inputs, digest.digest()  # which keeps the arrays alive
+            self._digests[identity] = inputs, digest.digest()  # keeps the arrays alive
         return self._digests[identity][1]
 
 
 MOST_INPUTS = 64
-"""Inputs whose digests are known at a time."""
+"""Largest number of cached digests."""
 
 
 class _AtInputs:
-    """A function of parameter rows at fixed inputs."""
+    """A function of parameter rows, with fixed inputs."""
 
     def __init__(self, function: Callable[..., Array], inputs: tuple[Array, ...]) -> None:
         self._function, self._inputs = function, inputs

@@ -1,4 +1,4 @@
-"""From a tire property file (.tir) to a `MagicFormula`, and back."""
+"""Reading a `MagicFormula` from a tire property file (.tir), and writing it."""
 
 from __future__ import annotations
 
@@ -31,15 +31,26 @@ from miho.models.tir_reader import (
 VERSIONS: dict[float, Version] = {
     5: "5.2", 6: "5.2", 21: "5.2", 52: "5.2", 61: "6.1", 62: "6.2",
 }  # fmt: skip
-"""The version of the Magic Formula by FITTYP."""
+"""Version of the Magic Formula for each value of FITTYP."""
 
 
 def write_tir(file: PropertyFile | MagicFormula, path: str | os.PathLike[str]) -> None:
-    """Write in SI units; reading it back gives the same numbers bit for bit. No comments.
+    """Write a property file in SI units, without comments.
 
-    Of a `MagicFormula` its parameters are written, so that `load_tir` gives the same tire; its
-    other fields are not part of a property file, nor are ranges that do not limit. Raises
-    `ValueError` for text or numbers that a property file cannot hold.
+    Reading the file gives the same numbers bit for bit. Of a `MagicFormula`, only the parameters
+    are written; infinite ranges and the other fields are not part of a property file.
+
+    Parameters
+    ----------
+    file : PropertyFile or MagicFormula
+        Content of the file.
+    path : str or PathLike
+        File to write; an existing file is replaced.
+
+    Raises
+    ------
+    ValueError
+        If text or numbers cannot be represented in a property file.
     """
     if isinstance(file, MagicFormula):
         file = _property_file(file.parameters)
@@ -57,18 +68,34 @@ def write_tir(file: PropertyFile | MagicFormula, path: str | os.PathLike[str]) -
 
 
 def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
-    """The tire a property file describes: MF 5.2 (FITTYP 5, 6, 21, 52 or absent), 6.1 or 6.2.
+    """Load the tire of a property file: MF 5.2 (FITTYP 5, 6, 21, 52 or absent), 6.1 or 6.2.
 
-    Every coefficient the version's force equations read must be there; scaling factors default
-    to 1 (LMUV to 0) and absent ranges do not limit. `strict` refuses sections and keys that the
-    version does not have, and lines that cannot be read; without it they are ignored if no force
-    needs them, unreadable ones with one warning that lists them; a range that is left blank does
-    not limit then. Raises `TirError`.
+    The file must contain every coefficient in the force equations of its version. Scaling factors
+    default to 1 (LMUV to 0), and missing ranges are unlimited.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The .tir file.
+    strict : bool, optional
+        By default, unknown sections, unknown keys and unreadable lines are errors. If false, they
+        are ignored unless a force depends on them, a warning lists the unreadable lines, and
+        blank ranges are unlimited.
+
+    Returns
+    -------
+    MagicFormula
+        The tire, in SI units and radians.
+
+    Raises
+    ------
+    TirError
+        If the file cannot be used; the message has path, line and column.
     """
     file, faults = read_lines(os.fspath(path), strict=strict)
     version = _version(file)
 
-    # Faults in lines that a force needs are errors in any case, others only if strict.
+    # Faults in lines that a force depends on are always errors, others only if strict.
     needed = [fault for fault in faults if _is_needed(fault, version)]
     raise_first([fault.error for fault in needed], [fault.place for fault in needed])
     if strict:
@@ -76,8 +103,8 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
     elif faults:
         places = ", ".join(fault.place for fault in faults)
         warnings.warn(
-            f"{file.path}: {len(faults)} lines that no force needs cannot be read and are left "
-            f"out: {places}",
+            f"{file.path}: ignored {len(faults)} unreadable lines that no force depends on: "
+            f"{places}",
             UserWarning,
             stacklevel=2,
         )
@@ -92,7 +119,7 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
 
 
 def _is_needed(fault: Fault, version: Version) -> bool:
-    """Whether a force depends on a line: on a unit, the version, a coefficient or a range."""
+    """Return whether a force depends on a line with a unit, version, coefficient or range."""
     if (fault.section, fault.key) == ("MODEL", "FITTYP"):
         return True
     if fault.section == "UNITS":
@@ -103,14 +130,14 @@ def _is_needed(fault: Fault, version: Version) -> bool:
 
 
 def _coefficients(file: PropertyFile, version: Version) -> dict[str, float]:
-    """The parameters of a version that the file has; raises TirError if it lacks a required one."""
+    """Return the parameters in a file; raises TirError if a required one is missing."""
     values: dict[str, float] = {}
     missing: dict[str, list[str]] = {}
     for name in sorted(parameter_names(version)):
         section = SECTION_OF[name]
         value = file.sections.get(section, {}).get(name)
         if isinstance(value, str):
-            problem = f"{name} is the text {printable(value)}"
+            problem = f"expected a number for {name}, got the text {printable(value)}"
             raise file.error(section, name, problem, "write a number")
         if value is not None:
             values[name] = value
@@ -131,7 +158,7 @@ def _version(file: PropertyFile) -> Version:
     if fittyp is None:
         return "5.2"
     if isinstance(fittyp, str) or fittyp not in VERSIONS:
-        problem = f"FITTYP = {printable(fittyp)} is not a Magic Formula version known here"
+        problem = f"FITTYP = {printable(fittyp)} is not a supported Magic Formula version"
         remedy = f"use one of {', '.join(f'{number:g}' for number in VERSIONS)}"
         raise file.error("MODEL", "FITTYP", problem, remedy)
     return VERSIONS[fittyp]
@@ -158,12 +185,12 @@ def _check_vocabulary(file: PropertyFile, version: Version) -> None:
     raise_first(errors, places)
     present = [name for name in TURNSLIP_NAMES if name in file.sections]
     if len(present) > 1:
-        problem = f"[{present[1]}] is the same section as [{present[0]}]"
+        problem = f"[{present[1]}] is another name of the section [{present[0]}]"
         raise file.error(present[1], "", problem, "keep one of the two")
 
 
 def _entries(file: PropertyFile) -> Iterator[tuple[str, str]]:
-    """All (section, key) of a file, and (section, "") of each section itself."""
+    """Yield (section, "") for each section of a file, then (section, key) for its keys."""
     for section, entries in file.sections.items():
         yield section, ""
         for key in entries:
@@ -171,7 +198,7 @@ def _entries(file: PropertyFile) -> Iterator[tuple[str, str]]:
 
 
 def _property_file(parameters: MagicFormulaParameters) -> PropertyFile:
-    """The property file with the parameters of the version, without ranges that do not limit."""
+    """Return the property file with the parameters of the version, without infinite ranges."""
     version = parameters.version
     sections: dict[str, dict[str, Value]] = {
         "MDI_HEADER": {"FILE_TYPE": "tir", "FILE_VERSION": 3.0, "FILE_FORMAT": "ASCII"},
@@ -188,11 +215,11 @@ def _property_file(parameters: MagicFormulaParameters) -> PropertyFile:
 
 
 def _value_text(section: str, key: str, value: Value) -> str:
-    """A value as it stands in a file; raises ValueError for text that cannot."""
+    """Return the text of a value in a file; raises ValueError for text that cannot be quoted."""
     if isinstance(value, float | int):
         return repr(float(value))
     if not value.isprintable() or "'" in value:
         raise ValueError(
-            f"[{section}] {key}: {value!r} cannot stand between quotes; use plain text without '"
+            f"[{section}] {key}: {value!r} cannot be quoted; use printable text without '"
         )
     return f"'{value}'"

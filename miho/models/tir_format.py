@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 from types import MappingProxyType
 
-# Factor to SI per quantity of [UNITS], under the spellings seen in property files.
+# Factors to SI units for each quantity of [UNITS], by the spellings in property files.
 UNIT_FACTORS = MappingProxyType(
     {
         "LENGTH": {
@@ -34,7 +34,7 @@ UNIT_FACTORS = MappingProxyType(
     }
 )  # fmt: skip
 
-# A unit of pressure of its own may stand there too, else it is that of force over length squared.
+# [UNITS] may also have a unit of pressure; by default it is force over length squared.
 PRESSURE_FACTORS = MappingProxyType(
     {
         "pascal": 1.0, "pa": 1.0, "newton/meter^2": 1.0, "kpa": 1000.0, "kilopascal": 1000.0,
@@ -46,8 +46,8 @@ SI_UNITS = MappingProxyType(
     {"LENGTH": "meter", "FORCE": "newton", "ANGLE": "radian", "MASS": "kg", "TIME": "second"}
 )
 
-# Exponents of (length, force, angle, mass, time). Coefficients have none: the Magic Formula is
-# written for radians, so ANGLE concerns the ranges and the yaw stiffness only.
+# Exponents of (length, force, angle, mass, time). Coefficients are not converted: the Magic Formula
+# uses radians, so ANGLE applies to the ranges and the yaw stiffness only.
 _LENGTH, _FORCE, _ANGLE, _MASS = (1, 0, 0, 0, 0), (0, 1, 0, 0, 0), (0, 0, 1, 0, 0), (0, 0, 0, 1, 0)
 _SPEED, _FREQUENCY, PRESSURE = (1, 0, 0, 0, -1), (0, 0, 0, 0, -1), (-2, 1, 0, 0, 0)
 _INERTIA, _STIFFNESS, _DAMPING = (2, 0, 0, 1, 0), (-1, 1, 0, 0, 0), (-1, 1, 0, 0, 1)
@@ -94,7 +94,7 @@ TABLES: MappingProxyType[str, tuple[Dimension, ...]] = MappingProxyType(
 
 
 def _numbered(*families: str) -> str:
-    """'PCX1-3 PDX4' written out: PCX1 PCX2 PCX3 PDX4."""
+    """Expand ranges: 'PCX1-3 PDX4' becomes 'PCX1 PCX2 PCX3 PDX4'."""
     names = []
     for family in " ".join(families).split():
         stem = family.rstrip("0123456789-")
@@ -117,7 +117,7 @@ KEYS: MappingProxyType[str, frozenset[str]] = MappingProxyType(
                 "FITTYP TYRESIDE LONGVL VXLOW ROAD_INCREMENT ROAD_DIRECTION TYPE FUNCTION_NAME",
                 "PROPERTY_FILE_FORMAT USER_SUB_ID N_TIRE_STATES USE_MODE HMAX_LOCAL",
                 "SWITCH_INTEG TIME_SWITCH_INTEG",
-                # of Adams
+                # keys of Adams
                 "CONTACT_MODEL MESSAGES FE_METHOD MFSAFE1 MFSAFE2 MFSAFE3",
             ),
             ("DIMENSION", "UNLOADED_RADIUS WIDTH ASPECT_RATIO RIM_RADIUS RIM_WIDTH"),
@@ -174,7 +174,7 @@ KEYS: MappingProxyType[str, frozenset[str]] = MappingProxyType(
         )
     }
 )
-"""Keys each section may hold, over all versions."""
+"""Allowed keys of each section, over all versions."""
 
 SECTION_OF = MappingProxyType(
     {
@@ -184,4 +184,4 @@ SECTION_OF = MappingProxyType(
         for key in keys
     }
 )
-"""The section in which a model parameter stands."""
+"""Section of each model parameter."""

@@ -1,4 +1,4 @@
-"""Tire property files (.tir) as text: a strict reader, and what it reads."""
+"""A strict reader of tire property files (.tir), and the records that it returns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from miho.regular_file import NotAFileError, read_regular
 MAX_BYTES = 4 * 2**20
 MAX_LINE = 10_000
 MAX_LISTED = 60
-"""Further faults that the message of the first names at most."""
+"""Largest number of further faults in the message of the first one."""
 
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _CONTENT = re.compile(r"""(?:[^$!#'"]|'[^']*'|"[^"]*")*""")  # up to a comment
@@ -36,18 +36,18 @@ Value = float | str
 
 
 class TirError(ValueError):
-    """A property file that cannot be used; one line `path:line:column: problem; remedy`."""
+    """Error for a property file that cannot be used, as `path:line:column: problem; remedy`."""
 
     @classmethod
     def at(cls, path: str, line: int, column: int, problem: str, remedy: str) -> TirError:
-        """Line and column count from 1; the path is made printable so that one line stays one."""
+        """Return an error at a line and column from 1, with a printable path on one line."""
         name = path if path.isprintable() else repr(path)
         return cls(f"{name}:{line}:{column}: {problem}; {remedy}")
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of numbers in SI units, such as [SHAPE]; `columns` as the file names them, or ()."""
+    """Table of a section, for example [SHAPE], in SI units; `columns` are names, or ()."""
 
     columns: tuple[str, ...] = ()
     rows: tuple[tuple[float, ...], ...] = ()
@@ -55,11 +55,11 @@ class Table:
 
 @dataclass(frozen=True)
 class PropertyFile:
-    """The content of a .tir file, in SI units and radians; sections and keys in the file's order.
+    """Content of a .tir file in SI units and radians, with sections and keys in order.
 
-    [UNITS] therefore always reads meter, newton, radian, kg, second. Names are upper case.
-    `places` gives (line, column) of each value under (section, key) and of each section header
-    under (section, ""); it, `path` and `lines` say where things stood and do not count in ==.
+    [UNITS] therefore always contains meter, newton, radian, kg and second. Names are upper case.
+    `places` maps (section, key) to the (line, column) of a value, and (section, "") to the
+    position of a header. `places`, `path` and `lines` serve for messages; == ignores them.
     """
 
     sections: Mapping[str, Mapping[str, Value]]
@@ -69,7 +69,7 @@ class PropertyFile:
     lines: int = field(default=1, compare=False)
 
     def error(self, section: str, key: str, problem: str, remedy: str) -> TirError:
-        """An error at that key, else at its section's header, else at the last line."""
+        """Return an error at a key, or at the section's header, or at the last line."""
         last = (self.lines, 1)
         place = self.places.get((section, key)) or self.places.get((section, "")) or last
         return TirError.at(self.path, *place, problem, remedy)
@@ -78,16 +78,16 @@ class PropertyFile:
 def read_tir(path: str | os.PathLike[str]) -> PropertyFile:
     """Read a property file: any line ends, `$ ! #` comments, latin-1, quoted strings, tables.
 
-    Numbers are converted to SI by [UNITS], which is required. Unknown sections and keys are kept
-    as they are. Raises `TirError` for anything that cannot be read with certainty.
+    Numbers are converted to SI units by [UNITS], which is required. Unknown sections and keys are
+    kept unchanged. Raises `TirError` for any ambiguous or unreadable content.
     """
     return read_lines(os.fspath(path), strict=True)[0]
 
 
 def read_lines(name: str, *, strict: bool) -> tuple[PropertyFile, list[Fault]]:
-    """The file, and the lines that were left out because they cannot be read.
+    """Return the content of a file and its unreadable lines, which are left out.
 
-    If strict, raises TirError for the first of those.
+    If strict, raises TirError at the first unreadable line.
     """
     reader = _Reader(name)
     for number, raw in enumerate(_lines(name), start=1):
@@ -98,7 +98,7 @@ def read_lines(name: str, *, strict: bool) -> tuple[PropertyFile, list[Fault]]:
 
 
 def raise_first(errors: Sequence[TirError], places: Sequence[str]) -> None:
-    """Raise the first of these errors, if any, with the places of the others in the same line."""
+    """Raise the first error, if any, with the places of the others in its message."""
     if len(errors) > 1:
         more = ", ".join(places[1 : MAX_LISTED + 1]) + ", ..." * (len(places) > MAX_LISTED + 1)
         raise TirError(f"{errors[0]}; likewise {len(places) - 1} more: {more}")
@@ -107,9 +107,9 @@ def raise_first(errors: Sequence[TirError], places: Sequence[str]) -> None:
 
 
 class Fault(NamedTuple):
-    """A line that cannot be read as KEY = value; the key is "" if the line has none.
+    """A line that cannot be read as KEY = value.
 
-    A line is `blank` if no value follows its key.
+    The key is "" if the line has none. A line is `blank` if its key has no value.
     """
 
     line: int
@@ -120,12 +120,12 @@ class Fault(NamedTuple):
 
     @property
     def place(self) -> str:
-        """Its key and line, in words."""
+        """Key and line number as text."""
         return f"{self.key or 'a line'} in line {self.line}"
 
 
 def _lines(path: str) -> list[str]:
-    """The lines of a file; raises TirError for what no property file is."""
+    """Return the lines of a file; raises TirError if it cannot be a property file."""
     remedy = "give the path of a .tir file"
     try:
         data = read_regular(path, MAX_BYTES + 1)
@@ -159,9 +159,9 @@ def _lines(path: str) -> list[str]:
 
 
 class _Reader:
-    """Reads a file line by line; `property_file` gives the result, with its units converted.
+    """Reads a file line by line; `property_file` returns the content in SI units.
 
-    Lines that cannot be read, but spoil no other, are collected as `faults`.
+    Unreadable lines that do not affect other lines are collected in `faults`.
     """
 
     def __init__(self, path: str) -> None:
@@ -191,7 +191,7 @@ class _Reader:
                 column, f"{printable(text)} before the first section", "begin with [MDI_HEADER]"
             )
         elif self.section == "MDI_HEADER" and text[0] in "({'\"":
-            return  # the header's free-text comment block
+            return  # free-text comment of the header
         elif "=" in text:
             self._entry(content)
         elif self.section in TABLES:
@@ -217,13 +217,11 @@ class _Reader:
     def _header(self, text: str, column: int) -> None:
         match = _HEADER.fullmatch(text)
         if not match:
-            self.fail(
-                column, f"{printable(text)} is not a section header", "write [NAME] by itself"
-            )
+            self.fail(column, f"{printable(text)} is not a section header", "write [NAME] alone")
         name = match.group(1).upper()
         if name in self.sections:
             line = self.places[name, ""][0]
-            self.fail(column, f"section [{name}] was already in line {line}", "merge the two")
+            self.fail(column, f"section [{name}] is already in line {line}", "merge the two")
         self.section = name
         self.sections[name] = {}
         self.places[name, ""] = (self.number, column)
@@ -238,7 +236,7 @@ class _Reader:
             return
         if key in self.sections[self.section]:
             line = self.places[self.section, key][0]
-            self.fail(column, f"{key} was already given in line {line}", "keep one of the two")
+            self.fail(column, f"{key} is already given in line {line}", "keep one of the two")
         column = len(name_part) + 2 + len(value_part) - len(value_part.lstrip())
         try:
             self.sections[self.section][key] = self._value(value_part.strip(), column, key)
@@ -271,14 +269,17 @@ class _Reader:
             if self.section in self.columns or self.section in self.rows:
                 self.fail(column, "column names after the first row", "name the columns once")
             if len(names) != width:
-                self.fail(column, f"{len(names)} column names, {width} columns", "name each one")
+                self.fail(
+                    column, f"expected {width} column names, got {len(names)}", "name each column"
+                )
             self.columns[self.section] = tuple(names)
             return
         row = tuple(
             self._finite(cell.group(), column + cell.start()) for cell in re.finditer(r"\S+", text)
         )
         if len(row) != width:
-            self.fail(column, f"{len(row)} numbers in a row of [{self.section}]", f"give {width}")
+            problem = f"expected {width} numbers in a row of [{self.section}], got {len(row)}"
+            self.fail(column, problem, f"write {width} numbers")
         self.places[self.section, f"row {len(self.rows.get(self.section, ()))}"] = (
             self.number,
             column,
@@ -286,7 +287,7 @@ class _Reader:
         self.rows.setdefault(self.section, []).append(row)
 
     def property_file(self) -> PropertyFile:
-        # Factors to SI, from [UNITS] of the file as it is.
+        # Factors to SI units, from [UNITS] before it is converted.
         file = PropertyFile(self.sections, {}, self.path, self.places, self.number)
         factors = _unit_factors(file)
         pressure = _pressure_factor(file)
@@ -327,15 +328,15 @@ class _Reader:
 
 
 def _unit_factors(file: PropertyFile) -> tuple[float, ...]:
-    """Factors to SI of length, force, angle, mass and time."""
+    """Return the factors to SI units of length, force, angle, mass and time."""
     units = file.sections.get("UNITS")
     if units is None:
-        raise file.error("UNITS", "", "there is no [UNITS] section", "add it: numbers need units")
+        raise file.error("UNITS", "", "there is no [UNITS] section", "add it with all units")
     factors = []
     for quantity, factor_of in UNIT_FACTORS.items():
         unit = units.get(quantity)
         if unit is None:
-            remedy = f"add {quantity} = '{SI_UNITS[quantity]}' or what it is"
+            remedy = f"add {quantity} = '{SI_UNITS[quantity]}' or the unit of the file"
             raise file.error("UNITS", "", f"[UNITS] lacks {quantity}", remedy)
         if not isinstance(unit, str) or unit.lower() not in factor_of:
             problem = f"{printable(unit)} is not a unit of {quantity}"
@@ -345,7 +346,7 @@ def _unit_factors(file: PropertyFile) -> tuple[float, ...]:
 
 
 def _pressure_factor(file: PropertyFile) -> float | None:
-    """Factor to Pa of a unit of pressure of its own, which newer files have; None without one."""
+    """Return the factor to Pa of the unit of pressure, None if the file has none."""
     unit = file.sections["UNITS"].get("PRESSURE")
     if unit is None:
         return None
@@ -356,7 +357,7 @@ def _pressure_factor(file: PropertyFile) -> float | None:
 
 
 def printable(value: Value) -> str:
-    """The value as it goes into a message: printable, on one line and not too long."""
+    """Return a value for a message: printable, short and on one line."""
     if isinstance(value, str):
         return repr(value if len(value) <= 40 else value[:39] + "…")
     return f"{value:g}"

@@ -1,4 +1,4 @@
-"""A tire of a property file as a model: its force over slip, load and camber, to be fitted."""
+"""Model of a tire from a property file: force over slip, load and camber."""
 
 from __future__ import annotations
 
@@ -29,12 +29,31 @@ INPUTS = {
 class TireFormula(TracedExpression):
     """Fx, Fy [N] or Mz [Nm] of a `MagicFormula` of any version, over some of its inputs.
 
-    `coefficients` are the parameters, under their names in property files; all others keep the
-    values of `tire`. `columns_of` names the inputs, in SI units and ISO-W signs: alpha [rad], Fz
-    [N], kappa [1], gamma [rad], Vx [m/s], pressure [Pa]. Without a column are kappa and gamma 0,
-    Vx and pressure those of the file. `source` is the file of the tire, if it has one.
+    Derivatives are exact. At kinks, for example at the limit E = 1, they are one-sided.
 
-    Derivatives are exact, and those of one side at bends, as where E is held at 1.
+    Parameters
+    ----------
+    tire : MagicFormula
+        The tire, which gives the values of all other coefficients.
+    coefficients : tuple of str
+        Coefficients that are parameters, with their names in property files.
+    force : {"Fx", "Fy", "Mz"}, optional
+        The output.
+    columns_of : tuple of str, optional
+        The inputs, in SI units and ISO-W signs: alpha [rad], Fz [N], kappa [1], gamma [rad],
+        Vx [m/s], pressure [Pa]. By default, kappa and gamma are 0, and Vx and pressure have the
+        values LONGVL and NOMPRES of the tire.
+    source : Path, optional
+        Property file of the tire.
+
+    Raises
+    ------
+    ValueError
+        If a coefficient, the force or an input is unknown, or if Fz or both slips are missing.
+
+    References
+    ----------
+    Pacejka, Tire and Vehicle Dynamics, 3rd ed. (2012), Sec. 4.3.2.
     """
 
     tire: MagicFormula
@@ -46,25 +65,27 @@ class TireFormula(TracedExpression):
     def __post_init__(self) -> None:
         version = self.tire.parameters.version
         if not self.coefficients:
-            raise ValueError("no coefficient is free; name those to be fitted, such as PDY1")
+            raise ValueError(
+                "coefficients is empty; name the coefficients to fit, for example PDY1"
+            )
         for name in self.coefficients:
             known = name in parameter_names(version) and is_coefficient(name)
             if not known or self.coefficients.count(name) > 1:
                 raise ValueError(
-                    f"{name!r} is no coefficient of MF {version}, or given twice; name them as "
-                    "property files do, such as PDY1"
+                    f"coefficients has {name!r}, which is given twice or not a coefficient of MF "
+                    f"{version}; use names of property files, for example PDY1"
                 )
         if self.force not in OUTPUTS:
             raise ValueError(f"the output is {self.force!r}; expected {', '.join(OUTPUTS)}")
         if "Fz" not in self.columns_of or not {"alpha", "kappa"} & {*self.columns_of}:
             raise ValueError(
-                f"the inputs are {', '.join(self.columns_of) or 'none'}; expected Fz and alpha or "
-                "kappa at least, in N and rad"
+                f"the inputs are {', '.join(self.columns_of) or 'none'}; expected at least Fz [N] "
+                "and either alpha [rad] or kappa [1]"
             )
 
     @cached_property
     def graph(self) -> Symbol:
-        """The force; raises NotAFormulaError for one that cannot be traced."""
+        """Graph of the force; raises NotAFormulaError if it cannot be traced."""
         return trace(self._force)
 
     def _force(self) -> Any:
@@ -88,7 +109,7 @@ class TireFormula(TracedExpression):
 
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The coefficients, with their units where these are known."""
+        """The coefficients with their units, "" if unknown."""
         return {name: COEFFICIENTS.get(name, "") for name in self.coefficients}
 
     @property
@@ -98,15 +119,15 @@ class TireFormula(TracedExpression):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """The force, of the file's tire."""
+        """Name of the force, after the name of the file if there is one."""
         return self.force if self.source is None else f"{self.source.stem}_{self.force}"
 
     def own_values(self) -> dict[str, float]:
-        """The tire's own values of the coefficients."""
+        """Return the values of the coefficients in the tire."""
         return {name: getattr(self.tire.parameters, name) for name in self.coefficients}
 
     def write(self, values: Mapping[str, float], path: str | os.PathLike[str]) -> None:
-        """The property file with other values of the coefficients; what else it says is kept."""
+        """Write the property file with new values of the coefficients; the rest is unchanged."""
         own: dict[str, Any] = {name: float(values[name]) for name in self.coefficients}
         written = replace(self.tire, parameters=replace(self.tire.parameters, **own))
         if self.source is None:
@@ -125,7 +146,7 @@ def tire_formula(
     columns: Collection[str],
     force: str,
 ) -> TireFormula:
-    """The model of a tire or property file over those of its inputs that are among `columns`."""
+    """Return the model of a tire or property file; its inputs are the known names in `columns`."""
     formula, source = (
         (tire, None) if isinstance(tire, MagicFormula) else (load_tir(tire), Path(tire))
     )
@@ -134,5 +155,5 @@ def tire_formula(
 
 
 def is_coefficient(name: str) -> bool:
-    """Whether the equations read it besides nominal values and ranges."""
+    """Return whether a name is a coefficient of the equations, not a nominal value or range."""
     return SECTION_OF.get(name, "").endswith("_COEFFICIENTS")

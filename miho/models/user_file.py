@@ -1,4 +1,4 @@
-"""Models that functions in a Python file of the user's describe."""
+"""Models of functions in a user's Python file."""
 
 from __future__ import annotations
 
@@ -21,11 +21,31 @@ def load_function(
     linear: Sequence[str] = (),
     rowwise: bool | None = None,
 ) -> Model:
-    """The model that a function in a Python file describes; see `FunctionModel`.
+    """Load the model of a function in a Python file.
 
-    This runs the file, with all that it does. `function` may be left out if the file has just one
-    public function. A change of the file is noticed, one of other files that it imports is not.
-    Raises FileNotFoundError, and ValueError with file and line for a file that cannot be used.
+    The file is executed, with all its side effects. A change of the file changes the identity of
+    stored runs; a change of other files that it imports does not.
+
+    Parameters
+    ----------
+    path : str
+        The Python file.
+    function : str, optional
+        Name of the function; may be left out if the file has only one public function.
+    batched, linear, rowwise
+        See `FunctionModel`.
+
+    Returns
+    -------
+    Model
+        A `FunctionModel`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file cannot be used; the message has the file and, if known, the line.
     """
     source = Path(path)
     module = executed(source)
@@ -38,7 +58,7 @@ def load_function(
     }
     if function is None and len(public) != 1:
         listed = f"public functions {', '.join(public)}" if public else "no public function"
-        remedy = "choose one with the setting function" if public else "write one"
+        remedy = "name one by the setting function" if public else "define one"
         raise ValueError(f"{source}: has {listed}; {remedy}")
     chosen = next(iter(public.values())) if function is None else vars(module).get(function)
     if not callable(chosen):
@@ -63,18 +83,45 @@ def load_trajectory(
     time: str = "t",
     quantities: Sequence[str] = (),
 ) -> Model:
-    """The `Trajectory` of functions in a Python file, which this runs with all that it does.
+    """Load a `Trajectory` of functions in a Python file.
 
-    `rhs` and `quantities` name functions of the file, `outputs` states or functions; the settings
-    are those of `Trajectory`. Raises FileNotFoundError, and ValueError for a file or settings that
-    cannot be used.
+    The file is executed, with all its side effects.
+
+    Parameters
+    ----------
+    path : str
+        The Python file.
+    rhs : str
+        Name of the function of the right-hand side.
+    states : Mapping[str, float or str]
+        Start of each state, as in `Trajectory`.
+    outputs : sequence of str
+        Names of states or functions.
+    scales, interpolation, restart, segments, solver, substeps, tolerance, time
+        See `Trajectory`.
+    quantities : sequence of str, optional
+        Names of functions of parameters.
+
+    Returns
+    -------
+    Model
+        A `Trajectory`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file or the settings cannot be used.
     """
     source = Path(path)
     functions = vars(executed(source))
 
     def named(name: str, setting: str) -> Callable[..., Any]:
         if not callable(functions.get(name)):
-            raise ValueError(f"{source}: has no function {name!r}, which {setting} names")
+            raise ValueError(
+                f"{source}: has no function {name!r}; define it, or correct the setting {setting}"
+            )
         chosen: Callable[..., Any] = functions[name]
         return chosen
 
@@ -96,14 +143,15 @@ def load_trajectory(
 
 
 def executed(source: Path) -> types.ModuleType:
-    """The module that a Python file gives when it is run, which this does.
+    """Execute a Python file and return its module.
 
-    Raises FileNotFoundError, and ValueError with file and line for a file that cannot be used.
+    Raises FileNotFoundError if there is no such file, and ValueError with file and line if it
+    cannot be used.
     """
     module = types.ModuleType(source.stem)
     module.__file__ = str(source)
-    # Read and compiled here: an import would leave its cache beside the file and trust it even
-    # after an edit within the same second.
+    # An import would write a cache next to the file, and would use it even after an edit within
+    # the same second.
     text = read_regular(source)
     try:
         exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file

@@ -1,4 +1,4 @@
-"""A model times a weight for each row, whose squares are a weighted sum of squares."""
+"""A model with weighted outputs, for a weighted sum of squares."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from miho.models.traced import TracedExpression
 from miho.quantities import Array
 
 WEIGHT = "weight of the row"
-"""The last input, behind the model's own."""
+"""Name of the last input."""
 
 
 def weighted(model: Model) -> Model:
-    """The model whose output is that of another one times the last input, the weight."""
+    """Return the model with its output multiplied by a last input, the weight."""
     if isinstance(model, Expression):
         expression = WeightedExpression(model)
         with contextlib.suppress(NotAFormulaError):
@@ -30,7 +30,7 @@ def weighted(model: Model) -> Model:
 
 
 class _Weighted(Model):
-    """What both kinds take from the model."""
+    """Properties that both kinds of weighted models take from the model."""
 
     model: Model
 
@@ -57,31 +57,31 @@ class _Weighted(Model):
 
 @dataclass(frozen=True)
 class WeightedModel(_Weighted):
-    """Any model, weighted."""
+    """Any model with weighted outputs."""
 
     model: Model
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
-        """The weighted model with wrapped leaves."""
+        """Return the weighted model with wrapped leaves."""
         return WeightedModel(self.model.with_leaves(wrap))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Weighted outputs (n, N)."""
+        """Return the weighted outputs (n, N)."""
         return np.asarray(self.model.predict(thetas, *inputs[:-1]) * inputs[-1])
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Their derivatives, (N, d)."""
+        """Return the derivatives of the weighted outputs, (N, d)."""
         return np.asarray(self.model.jacobian(theta, *inputs[:-1]) * inputs[-1][:, None])
 
 
 @dataclass(frozen=True)
 class WeightedExpression(_Weighted, TracedExpression):
-    """An expression, weighted."""
+    """An expression with weighted outputs."""
 
     model: Expression
 
     @cached_property
     def graph(self) -> Symbol:
-        """The weighted output; raises NotAFormulaError for one that cannot be traced."""
+        """Graph of the weighted output; raises NotAFormulaError if it cannot be traced."""
         output = trace(self.model.value, self.columns[:-1], self.arguments)
         return operation("multiply", output, self.columns[-1])

@@ -66,9 +66,9 @@ def test_a_call_that_takes_too_long_is_killed(model: CommandModel) -> None:
 
 def test_what_cannot_be_run_is_named(model: CommandModel) -> None:
     missing = CommandModel(["/no/such/program"], model.inputs, model.parameters, "V")
-    with pytest.raises(ValueError, match="command: '/no/such/program' cannot be run"):
+    with pytest.raises(ValueError, match="command: cannot run '/no/such/program'"):
         missing.predict(np.array([[1.0, 1.0]]), T)
-    with pytest.raises(ValueError, match="command is 'rm -r x'; expected a list: the program"):
+    with pytest.raises(ValueError, match="command is 'rm -r x'; expected a list of the program"):
         CommandModel("rm -r x", model.inputs, model.parameters, "V")
     with pytest.raises(ValueError, match=r"seconds is 0; expected a positive number"):
         CommandModel(["x"], model.inputs, model.parameters, "V", seconds=0)

@@ -226,23 +226,19 @@ def test_bad_input_is_one_line(fmu: Callable[..., str], tmp_path: Path) -> None:
         archive.writestr("modelDescription.xml", description(INTERFACES["held"]))
         archive.writestr("binaries/win64/swing.dll", "")
     for settings, message in {
-        ("no.fmu", "k", "x"): "no.fmu: is no FMU that can be read: File is not a zip file",
-        ("other.fmu", "k", "x"): "other.fmu: is made for win64, not for linux64; export it with",
-        (
-            path,
-            "K",
-            "x",
-        ): "identified has 'K'; choose from what .* has of that kind: k, c, m",
-        (path, "k", "y"): r"outputs has 'y'; choose from .*: k, c, m, start.x, x, v, der\(v\)",
-        (path, "force", "x"): "identified has 'force'; choose from",
+        ("no.fmu", "k", "x"): "no.fmu: cannot be read as an FMU: File is not a zip file",
+        ("other.fmu", "k", "x"): "other.fmu: has binaries for win64, not for linux64; export it",
+        (path, "K", "x"): "identified has 'K'; expected one of these variables of .*: k, c, m",
+        (path, "k", "y"): r"outputs has 'y'; expected one of .*: k, c, m, start.x, x, v, der\(v\)",
+        (path, "force", "x"): "identified has 'force'; expected one of these",
     }.items():
         with pytest.raises(ValueError, match=message):
             FmuModel(str(tmp_path / settings[0]), [settings[1]], [settings[2]])
     for settings, message in {
         ("interface", "ModelExchange"): "interface is 'ModelExchange'; .* has CoSimulation$",
         ("outputs", ("x", "v")): "outputs have the units m, m/s; give scales",
-        ("units", "z"): "units has 'z', which nothing here is called; remove it",
-        ("columns", "k"): "columns has 'k'; choose from .*: force",
+        ("units", "z"): "units has 'z', which is not a name of this model; remove it",
+        ("columns", "k"): "columns has 'k'; expected one of .*: force",
     }.items():
         value = {settings[1]: "m"} if settings[0] == "units" else settings[1]
         value = [value] if settings[0] == "columns" else value
@@ -251,7 +247,7 @@ def test_bad_input_is_one_line(fmu: Callable[..., str], tmp_path: Path) -> None:
     model = FmuModel(path, ["k"], ["x"])
     with pytest.raises(ValueError, match="t does not increase from row to row"):
         model.predict(np.array([[K]]), T[::-1])
-    with pytest.raises(ValueError, match="needs rows at two times at least"):
+    with pytest.raises(ValueError, match="expected rows at two different times"):
         model.predict(np.array([[K]]), T[:1])
 
 

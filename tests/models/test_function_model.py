@@ -99,7 +99,7 @@ BAD = {
     "a failing import": ("\nimport nothere\n", "mine.py:2: raises ModuleNotFoundError"),
     "an exit": ("raise SystemExit(5)", "mine.py:1: raises SystemExit: 5"),
     "no function": ("import numpy as np\nfrom os.path import join", "no public function"),
-    "two functions": (DECAY + DECAY.replace("decay", "other"), "functions decay, other; choose"),
+    "two functions": (DECAY + DECAY.replace("decay", "other"), "functions decay, other; name one"),
 }
 
 

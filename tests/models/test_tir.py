@@ -62,7 +62,7 @@ MALFORMED = {
     "empty section": (edited(r"^\[VERTICAL\]", "[]"), "[VERTICAL]", 1, "section header"),
     "words after a section": (edited(r"^(\[VERTICAL\])", r"\1 x"), "[VERTICAL]", 1, "header"),
     "section twice": (edited(r"^\[VERTICAL\]", "[MODEL]"), "[VERTICAL]", 1, "already in line"),
-    "key twice": (edited(r"^PDY2 ", "pdy1 "), "PDY2", 1, "PDY1 was already given in line"),
+    "key twice": (edited(r"^PDY2 ", "pdy1 "), "PDY2", 1, "PDY1 is already given in line"),
     "missing coefficient": (edited(r"^PKY4 .*\n", ""), "[LATERAL", 1, "lacks PKY4"),
     "missing pressure term": (edited(r"^PPY1 .*\n", ""), "[LATERAL", 1, "lacks PPY1"),
     "missing nominal load": (edited(r"^FNOMIN .*\n", ""), "[VERTICAL]", 1, "lacks FNOMIN"),
@@ -81,13 +81,18 @@ MALFORMED = {
     "NUL": (edited(r"1\.68", "1.\x0068"), "PDY1", VALUE_COLUMN + 2, "control character"),
     "long line": (edited(r"1\.68", "1.68" + " " * MAX_LINE), "PDY1", MAX_LINE + 1, "longer"),
     "content before a section": ("PDY1 = 1\n" + LF, 1, 1, "before the first section"),
-    "table too narrow": (LF + "[SHAPE]\n1 0\n 1\n", None, 2, "1 numbers in a row"),
+    "table too narrow": (
+        LF + "[SHAPE]\n1 0\n 1\n",
+        None,
+        2,
+        "2 numbers in a row of [SHAPE], got 1",
+    ),
     "table with a word": (LF + "[SHAPE]\n1.0 wide\n", None, 5, "'wide' is not a number"),
     "two turn-slip sections": (
         LF + "[TURNSLIP_COEFFICIENTS]\n[TURNSLIP]\n",
         None,
         1,
-        "is the same section",
+        "is another name of the section",
     ),
     "empty": ("", 1, 1, "no [UNITS]"),
 }
@@ -308,7 +313,7 @@ VENDOR += "free text\nnot a key = 3\n"
 def test_without_strict_what_no_force_needs_may_be_malformed(tmp_path: Path) -> None:
     """All at once: one warning lists them, and in strict mode one error."""
     path = saved(tmp_path, LF.replace("[VERTICAL]", "[VERTICAL]\nBREFF =") + VENDOR)
-    with pytest.warns(UserWarning, match=r"43 lines that no force needs .*: BREFF in line ") as one:
+    with pytest.warns(UserWarning, match=r"43 unreadable lines that no .*: BREFF in line ") as one:
         assert load_tir(path, strict=False) == load_tir(embedded_tire("lf"))
     assert len(one) == 1
     message = str(one[0].message)
@@ -328,7 +333,7 @@ def test_blank_limits_do_not_limit_and_a_blank_mass_is_no_unit(tmp_path: Path) -
         text = re.sub(rf"(?m)^{key}\b.*$", f"{key} = $ not known", text)
         without = re.sub(rf"(?m)^{key}\b.*\n", "", without)
     path = saved(tmp_path, text)
-    with pytest.warns(UserWarning, match="11 lines that no force needs cannot be read .*: MASS in"):
+    with pytest.warns(UserWarning, match="11 unreadable lines that no force depends on: .*MASS in"):
         blank = load_tir(path, strict=False)
     other = tmp_path / "without.tir"
     other.write_text(without)
