@@ -1,4 +1,4 @@
-"""What tells a model from others: its class, its settings, and the code of its functions."""
+"""Digests of models from their class, settings and the code of their functions."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from typing import Any
 import numpy as np
 
 WRAPPED = 10
-"""Decorators around one function, at most."""
+"""Largest number of decorators around a function."""
 CLOCK = 1e9, 4e9
-"""Seconds since 1970 between these are a time of day, from the year 2001 to 2096."""
+"""Range of numbers that are taken as times in seconds since 1970 (years 2001 to 2096)."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
 OURS = "miho."
-"""What modules begin with whose classes are not the user's."""
+"""Prefix of this package's modules."""
 MAKERS = {"__init__", "__new__", "__post_init__"}
 Variable = tuple[int, str]
-"""A name by the `id` of its cell, or of the global names of its module."""
+"""The `id` of the cell or of the module's globals, and the name."""
 
 
 class Seen(set[int]):
-    """The `id` of functions and objects that were met, and what variables functions write."""
+    """The `id` of visited functions and objects, and the variables that functions write."""
 
     def __init__(self, written: set[Variable]) -> None:
         super().__init__()
@@ -36,18 +36,19 @@ class Seen(set[int]):
 
 
 def fingerprint(thing: Any) -> str:
-    """Hexadecimal digest of a model or function, the same in every process of one Python.
+    """Return a hexadecimal digest of a model or function, equal in all processes of one Python.
 
-    Of an object its class with its methods, and its fields. Of a function its code with constants,
-    defaults, closures and what it uses of its module: a comment changes nothing, a number does.
-    What a function may change does not count: lists, mappings and counters of its own and of those
-    that it calls, arrays that it fills, attributes that methods write, files. What may be made anew
-    in each process does not count either: paths and stamps of the module. Of what it imports, and
-    of MIHO's own classes, only the name counts. For all that, a journal compares values
-    (`miho.parallel.journal_check`).
+    The digest of an object covers its class with the methods, and its fields. The digest of a
+    function covers its code with constants, defaults, closures and the names that it uses from its
+    module; comments do not count, numbers do. Imports and classes of MIHO count by name only.
+
+    State that a function can change is excluded: lists, mappings and counters, arrays that it
+    fills, attributes that methods write, and files. Values that may differ between processes are
+    excluded too: paths and time stamps of the module. A journal therefore compares values in
+    addition (`miho.parallel.journal_check`).
     """
     digest, written = hashlib.sha256(), set[Variable]()
-    collections.deque(_parts(thing, Seen(written)), maxlen=0)  # to know what is written
+    collections.deque(_parts(thing, Seen(written)), maxlen=0)  # collects written variables
     for part in _parts(thing, Seen(written)):
         digest.update(part.encode())
         digest.update(b"\0")
@@ -55,7 +56,7 @@ def fingerprint(thing: Any) -> str:
 
 
 def _parts(thing: Any, seen: Seen) -> Iterator[str]:
-    """What a thing consists of, in words; functions and objects that were `seen` only once."""
+    """Yield the parts of a thing as text; functions and objects are visited once."""
     thing = _unwrapped(thing)
     if thing is None or isinstance(thing, bool | int | float | complex | bytes | Enum):
         yield repr(thing)
@@ -87,12 +88,12 @@ def _parts(thing: Any, seen: Seen) -> Iterator[str]:
 
 
 def _object(thing: Any, seen: Seen) -> Iterator[str]:
-    """The class of an object with its methods, and its fields; all it holds if it declares none."""
+    """Yield the class of an object and its fields, or its attributes without dataclass fields."""
     yield from _class(type(thing), seen)
     if is_dataclass(thing):
         yield from _parts({f.name: getattr(thing, f.name) for f in fields(thing)}, seen)
         return
-    # What its methods write is no setting.
+    # Attributes that methods write are state, not settings.
     methods = list(_methods(type(thing)))
     written = set[str]().union(*(_names(m, "STORE_ATTR", "DELETE_ATTR") for m in methods))
     fills = any(_names(method, "STORE_SUBSCR", "STORE_SLICE") for method in methods)
@@ -103,7 +104,7 @@ def _object(thing: Any, seen: Seen) -> Iterator[str]:
 
 
 def _methods(kind: type) -> Iterator[types.CodeType]:
-    """The code of the methods of a class, but for those that make an object."""
+    """Yield the code of the methods of a class, without constructors."""
     for ancestor in kind.__mro__:
         for name, member in vars(ancestor).items():
             method = _unwrapped(member)
@@ -112,7 +113,7 @@ def _methods(kind: type) -> Iterator[types.CodeType]:
 
 
 def _class(kind: type, seen: Seen) -> Iterator[str]:
-    """A class and those it stems from, by their names and methods."""
+    """Yield the names and methods of a class and its base classes."""
     for ancestor in kind.__mro__:
         if ancestor.__module__ in FOUNDATIONS:
             continue
@@ -131,7 +132,7 @@ def _class(kind: type, seen: Seen) -> Iterator[str]:
 def _function(function: types.FunctionType, seen: Seen) -> Iterator[str]:
     code = function.__code__
     yield from _parts((code, function.__defaults__, function.__kwdefaults__), seen)
-    # What it uses of where it stands: numbers and arrays by value, functions by their code.
+    # Names of its closure and module: numbers and arrays by value, functions by code.
     cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
     members = {name: cell.cell_contents for name, cell in cells.items() if cell != types.CellType()}
     for name in _names(code, "LOAD_GLOBAL", "LOAD_NAME") - cells.keys():
@@ -153,7 +154,7 @@ def _function(function: types.FunctionType, seen: Seen) -> Iterator[str]:
 
 
 def _used(member: Any, module: str, seen: Seen) -> Iterator[str]:
-    """What a function uses: what it cannot change and what is of its own module by content."""
+    """Yield a used value: constants and members of the same module by content, others by name."""
     member = _unwrapped(member)
     own = isinstance(member, types.FunctionType) and member.__module__ == module
     if _is_constant(member) or own or isinstance(member, functools.partial | types.MethodType):
@@ -169,7 +170,7 @@ def _used(member: Any, module: str, seen: Seen) -> Iterator[str]:
 
 
 def _unwrapped(member: Any) -> Any:
-    """The function in a decorator of Python's, functools' or numba's; anything else as it is."""
+    """Return the function inside decorators of Python, functools or numba; others unchanged."""
     for _ in range(WRAPPED):
         inner = getattr(member, "fget", None) if isinstance(member, property) else None
         if isinstance(member, staticmethod | classmethod):
@@ -191,10 +192,10 @@ def _is_constant(member: Any) -> bool:
 
 
 def _is_place_or_stamp(member: Any) -> bool:
-    """Whether this is a path, a text with a slash or a digit, or what a clock gives.
+    """Return whether a value is a path, a text with a slash or digit, or a time.
 
-    Such may be made when the module is loaded: a temporary folder, the time, a random name. A clock
-    gives a fraction of a second, or whole nanoseconds.
+    Such values may be created when the module is loaded: a temporary folder, the time, a random
+    name. Times are seconds with a fraction, or integer nanoseconds.
     """
     if isinstance(member, int):
         return 1e9 * CLOCK[0] < member < 1e9 * CLOCK[1]
@@ -205,14 +206,14 @@ def _is_place_or_stamp(member: Any) -> bool:
 
 
 def _names(code: types.CodeType, *operations: str) -> set[str]:
-    """The names that some operations of a function and of those inside of it refer to."""
+    """Return the names in some operations of a function and its inner functions."""
     names = {str(i.argval) for i in dis.get_instructions(code) if i.opname in operations}
     inner = (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
     return names.union(*(_names(part, *operations) for part in inner))
 
 
 def _code(code: types.CodeType, seen: Seen) -> Iterator[str]:
-    """The instructions with names and constants, without lines, files and docstrings."""
+    """Yield instructions, names and constants, without line numbers, files and docstrings."""
     yield code.co_code.hex()
     yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_argcount))
     documented = code.co_consts[:1] and isinstance(code.co_consts[0], str)

@@ -1,8 +1,8 @@
-"""Graphs of formulas as tapes for the machine of `miho.core`.
+"""Compilation of graphs to tapes for the machine of `miho.core`.
 
-Equal operations are done once. What depends on parameters alone is computed once for all rows; a
-register is used again as soon as its content has been read for the last time (linear scan; Poletto
-and Sarkar 1999).
+Equal operations are evaluated once, and operations on parameters only are evaluated once for all
+rows. A register is reused after the last read of its content (linear scan register allocation;
+Poletto and Sarkar 1999).
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ PLAIN = {
     "greater_equal": "GE", "less": "LT", "less_equal": "LE", "equal": "EQ", "not_equal": "NE",
     "logical_and": "AND", "logical_or": "OR", "logical_not": "NOT", "where": "WHERE",
 }  # fmt: skip
-"""Operations of graphs that are one of the machine. Sine, cosine and powers are not."""
+"""Graph operations with one machine operation; sine, cosine and powers are separate."""
 EITHER_WAY = {"ADD", "MUL", "EQ", "NE", "AND", "OR"}
 WITH_SCALAR = {"ADD", "SUB", "MUL", "DIV"}
 TWO_RESULTS = {"LOG_PARTS", "FLOOR_PARTS"}
 CONSTANTS, PARAMETERS, INPUTS, SECOND = "constant", "parameter", "input", "second result"
 LEAVES = (CONSTANTS, PARAMETERS, INPUTS)
 LARGEST_POWER = 64
-"""Whole powers up to it are multiplied out."""
+"""Largest integer exponent that is expanded into multiplications."""
 
 
 def tape_of(
@@ -49,10 +49,10 @@ def tape_of(
     parameters: Sequence[Symbol],
     abreast: bool = False,
 ) -> Tape:
-    """The tape that computes results of input columns and parameters.
+    """Return the tape that computes results from input columns and parameters.
 
-    Operations that do not need each other stand side by side if `abreast`. That takes more
-    registers, and is faster for few rows, where the processor else waits for the one before.
+    If `abreast`, operations are sorted by depth, so that neighbours are independent. This needs
+    more registers, and is faster for few rows, because the processor does not wait for results.
     """
     nodes = _Nodes()
     at = {symbol: nodes.add(INPUTS, k) for k, symbol in enumerate(columns)}
@@ -66,9 +66,9 @@ def tape_of(
 def traced_tapes(
     value: Callable[..., Any], derivatives: Callable[..., Any], p: int, d: int
 ) -> tuple[Tape, Tape] | None:
-    """The tapes of a formula of p inputs and d parameters, and of its d derivatives.
+    """Return the tapes of a formula with p inputs and d parameters, and of its d derivatives.
 
-    None where they cannot be traced, or are too long for the machine.
+    The result is None if they cannot be traced, or are too long for the machine.
     """
     tapes = _traced(value, derivatives, p, d, lambda graph, slopes: ([graph], slopes))
     return None if tapes is None else (tapes[0], tapes[1])
@@ -77,7 +77,10 @@ def traced_tapes(
 def traced_together(
     value: Callable[..., Any], derivatives: Callable[..., Any], p: int, d: int
 ) -> Tape | None:
-    """One tape of the d derivatives of a formula and, behind them, its value; else as above."""
+    """Return one tape of the d derivatives of a formula followed by its value.
+
+    The result is None if they cannot be traced, or are too long for the machine.
+    """
     tapes = _traced(value, derivatives, p, d, lambda graph, slopes: ([*slopes, graph],))
     return None if tapes is None else tapes[0]
 
@@ -89,7 +92,7 @@ def _traced(
     d: int,
     parts: Callable[[Symbol, list[Symbol]], Sequence[Sequence[Symbol]]],
 ) -> list[Tape] | None:
-    """Tapes of the results in each of the `parts` that are made of value and derivatives."""
+    """Return a tape for each group of results that `parts` makes of value and derivatives."""
     columns = tuple(argument(f"x{k}") for k in range(p))
     parameters = tuple(argument(f"p{k}") for k in range(d))
     try:
@@ -105,24 +108,24 @@ def _traced(
 
 
 class _Nodes:
-    """The operations of the machine that a graph needs, each once.
+    """The machine operations of a graph, without duplicates.
 
-    A node is its name and the nodes that it reads, or for a leaf its number. An operation with two
-    results stands for the first; SECOND of it for the other.
+    A node is a name with the nodes that it reads; a leaf is a name with its number. The node of an
+    operation with two results is the first result, and a SECOND node is the other one.
     """
 
     def __init__(self) -> None:
         self.nodes: list[tuple[str, tuple[float, ...]]] = []
-        self.uniform: list[bool] = []  # the same at all rows
+        self.uniform: list[bool] = []  # equal for all rows
         self._known: dict[tuple[object, ...], int] = {}
 
     def add(self, name: str, *operands: float) -> int:
-        """The node, made if there is none."""
+        """Return the node, which is added if it is new."""
         if name in EITHER_WAY:
             operands = tuple(sorted(operands))
         if name == "MUL" and operands[0] == operands[1]:
             name, operands = "SQUARE", operands[:1]
-        # As text 0.0 is not -0.0, and NaN is itself.
+        # The text distinguishes 0.0 from -0.0, and NaN equals NaN.
         key = (name, repr(operands[0])) if name == CONSTANTS else (name, *operands)
         if key not in self._known:
             self._known[key] = len(self.nodes)
@@ -134,12 +137,12 @@ class _Nodes:
         return self._known[key]
 
     def operands(self, node: int) -> tuple[int, ...]:
-        """The nodes that a node reads."""
+        """Return the nodes that a node reads."""
         name, operands = self.nodes[node]
         return () if name in LEAVES else tuple(map(int, operands))
 
     def of_symbol(self, symbol: Symbol, at: Mapping[Symbol, int]) -> int:
-        """The node of an operation whose arguments have theirs."""
+        """Return the node of an operation, given the nodes `at` of its arguments."""
         if symbol.operation == CONSTANT:
             return self.add(CONSTANTS, symbol.arguments[0])
         name, arguments = symbol.operation, symbol.arguments
@@ -163,7 +166,7 @@ class _Nodes:
         return self.add(PLAIN[name], *operands)
 
     def _log_parts(self, base: Symbol, at: Mapping[Symbol, int]) -> tuple[int, int]:
-        """The parts of the logarithm of |base|: a power and its derivatives share them."""
+        """Return the parts of the logarithm of |base|, shared by a power and its derivatives."""
         floored = _floored(base)
         parts = self.add("LOG_PARTS", at[base if floored is None else floored])
         low = self.add(SECOND, parts)
@@ -173,7 +176,7 @@ class _Nodes:
         return above, self.add(SECOND, above)
 
     def _multiplied_out(self, base: int, exponent: int) -> int:
-        """A whole power, by squares."""
+        """Return the node of an integer power, by repeated squaring."""
         if exponent <= 0:
             one = self.add(CONSTANTS, 1.0)
             return (
@@ -186,7 +189,7 @@ class _Nodes:
         return self.add("MUL", square, base) if exponent % 2 else square
 
     def needed_for(self, results: Sequence[int]) -> list[int]:
-        """The nodes that results depend on, each after those that it reads."""
+        """Return the nodes under results in topological order."""
         needed, stack = set[int](), list(results)
         while stack:
             node = stack.pop()
@@ -199,7 +202,7 @@ class _Nodes:
 
 
 def _floored(symbol: Symbol) -> Symbol | None:
-    """X of max(|x|, TINY), as derivatives of powers have it; None of anything else."""
+    """Return x for max(|x|, TINY), which occurs in derivatives of powers; otherwise None."""
     if symbol.operation != "maximum" or symbol.arguments[1].number != TINY:
         return None
     inner: Symbol = symbol.arguments[0]
@@ -207,7 +210,7 @@ def _floored(symbol: Symbol) -> Symbol | None:
 
 
 class _Registers:
-    """Where each node is held: the scalar, or the register, and from when to when."""
+    """Assignment of nodes to scalars and registers."""
 
     def __init__(self, nodes: _Nodes, results: Sequence[int], inputs: int, parameters: int) -> None:
         self.nodes, self.results = nodes, results
@@ -226,7 +229,7 @@ class _Registers:
         self.count = len(constants) + parameters
         self.at = {k: int(operands[0]) for k, (name, operands) in enumerate(names)
                    if name == INPUTS}  # fmt: skip
-        self.slots: dict[int, int] = {}  # of results that are written where they belong
+        self.slots: dict[int, int] = {}  # results that are written to their final registers
         for i, k in enumerate(results):
             if not nodes.uniform[k] and k not in self.at:
                 self.slots.setdefault(k, inputs + i)
@@ -236,7 +239,7 @@ class _Registers:
                 self.users.setdefault(operand, []).append(k)
 
     def tape(self, abreast: bool) -> Tape:
-        """The tape, see `tape_of`."""
+        """Return the tape; see `tape_of`."""
         nodes = self.nodes
         once = tuple(self._once())
         rows = [k for k in self.needed if not nodes.uniform[k] and k not in self.at]
@@ -256,7 +259,7 @@ class _Registers:
         )  # fmt: skip
 
     def _once(self) -> Iterator[Instruction]:
-        """What is the same at all rows."""
+        """Yield the instructions that are evaluated once for all rows."""
         for k in self.needed:
             if not self.nodes.uniform[k] or k in self.scalars:
                 continue
@@ -268,7 +271,7 @@ class _Registers:
             yield Instruction(name, operands, tuple(self.scalars[j] for j in made))
 
     def _rows(self, order: Sequence[int]) -> Iterator[Instruction]:
-        """What is computed for each row."""
+        """Yield the instructions that are evaluated for each row."""
         last: dict[int, int] = {}
         for i, k in enumerate(order):
             last |= dict.fromkeys(self.nodes.operands(k), i)
@@ -277,7 +280,7 @@ class _Registers:
             read = self.nodes.operands(k)
             operation, operands = self._read(name, read)
             done = [j for j in dict.fromkeys(read) if last[j] == i and not self.nodes.uniform[j]]
-            if len(made) == 1:  # which may take the place of what it reads
+            if len(made) == 1:  # a single result may overwrite an operand
                 self._release(done)
             places = tuple(map(self._placed, made))
             if len(made) > 1:
@@ -285,9 +288,9 @@ class _Registers:
             yield Instruction(operation, operands, places)
 
     def _operation(self, k: int) -> tuple[str, list[int]]:
-        """The operation of a node, and the nodes that it computes: it and its second result.
+        """Return the operation of a node and the nodes that it computes, with a second result.
 
-        Of a sine and a cosine one may not be needed.
+        SINCOS becomes SIN or COS if only one of the two is needed.
         """
         name = self.nodes.nodes[k][0]
         users = self.users.get(k, [])
@@ -299,7 +302,7 @@ class _Registers:
         return name, [k, *second]
 
     def _read(self, name: str, read: Sequence[int]) -> tuple[str, tuple[int, ...]]:
-        """An operation and its operands, with a scalar for one where it has that form."""
+        """Return an operation and its operands, in the form with a scalar if there is one."""
         uniform = [self.nodes.uniform[j] for j in read]
         if name not in WITH_SCALAR or not any(uniform):
             return name, tuple(map(self._held, read))
@@ -308,7 +311,7 @@ class _Registers:
         return form, (self.at[row], self.scalars[scalar])
 
     def _held(self, k: int) -> int:
-        """The register that holds a node."""
+        """Return the register of a node, filled from its scalar if necessary."""
         if not self.nodes.uniform[k]:
             return self.at[k]
         if k not in self.fills:

@@ -1,6 +1,6 @@
 """`parameters.json`: an identified model with uncertainty, range of validity and provenance.
 
-It is the one way from identification to driving.
+The file transfers identified models to the simulation of the car (`miho.driving`).
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from miho.regular_file import read_regular
 
 FORMAT = 1
 LARGEST = 16 << 20
-"""No parameters file is larger, in bytes."""
+"""Largest size of a parameters file [bytes]."""
 MARGIN = 0.02
-"""An input this fraction of the data's range beyond its end still counts as inside."""
+"""Tolerance at the ends of an input's range, as a fraction of the range."""
 
 
 class OutsideDataWarning(UserWarning):
-    """A model was asked about inputs beyond the data it was identified from."""
+    """Warning for predictions outside the range of the data of an identified model."""
 
 
 class UncheckedWarning(UserWarning):
-    """A parameters file has no checksum, so damage to it would go unnoticed."""
+    """Warning for a parameters file without a checksum, in which damage is not detected."""
 
 
 class ParametersError(ValueError):
-    """A parameters file that cannot be used: one line with the file, the field and the remedy."""
+    """Error for a parameters file that cannot be used, in one line with the file and a remedy."""
 
 
 @dataclass(frozen=True)
 class Value:
-    """An identified number: unit, standard error and interval; NaN and infinite where unknown."""
+    """An identified number with unit, standard error and interval; unknown parts are NaN."""
 
     value: float
     unit: str
@@ -58,9 +58,27 @@ class Value:
 class Identified:
     """A model with identified parameters.
 
-    `parameters` in the model's order; `ranges` holds the smallest and largest value of each input
-    in the data, in the model's units; `correlation` (d, d) is that of the parameters; `derived`
-    are quantities computed from them; `provenance` says what regenerates all this.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : Mapping[str, Value]
+        Identified parameters, in the model's order.
+    correlation : ndarray, shape (d, d)
+        Correlation of the parameters.
+    ranges : Mapping[str, tuple[float, float]]
+        Smallest and largest value of each input in the data, in the model's units.
+    derived : Mapping[str, Value]
+        Quantities computed from the parameters.
+    provenance : Mapping[str, Any]
+        Record of the data, software and settings that reproduce the result.
+    level : float, optional
+        Confidence level of the intervals.
+
+    Raises
+    ------
+    ValueError
+        If parameters, units or ranges do not fit the model.
     """
 
     model: Model
@@ -75,19 +93,22 @@ class Identified:
         units = {name: value.unit for name, value in self.parameters.items()}
         if list(units.items()) != list(self.model.parameters.items()):
             raise ValueError(
-                f"parameters are {units}; model {type(self.model).__name__} needs "
+                f"parameters and units are {units}; model {type(self.model).__name__} needs "
                 f"{dict(self.model.parameters)}"
             )
         if set(self.ranges) != set(self.model.inputs):
-            raise ValueError(f"ranges are given of {', '.join(self.ranges)}; expected each input")
+            raise ValueError(
+                f"ranges has {', '.join(self.ranges)}; expected each input: "
+                f"{', '.join(self.model.inputs)}"
+            )
 
     @property
     def theta(self) -> Array:
-        """The parameters' values, (d,)."""
+        """Values of the parameters, (d,)."""
         return np.array([value.value for value in self.parameters.values()])
 
     def outside(self, *inputs: Array) -> list[str]:
-        """A sentence for each input that leaves the range of the data."""
+        """Return a sentence for each input that leaves the range of the data."""
         sentences = []
         for (name, unit), values in zip(self.model.inputs.items(), inputs, strict=True):
             low, high = self.ranges[name]
@@ -101,7 +122,10 @@ class Identified:
         return sentences
 
     def predict(self, *inputs: Array) -> Array:
-        """Output (N,) at input columns (N,); warns with OutsideDataWarning beyond the data."""
+        """Return the output (N,) at input columns (N,).
+
+        Inputs outside the data cause an OutsideDataWarning.
+        """
         for sentence in self.outside(*inputs):
             text = f"{type(self.model).__name__}: {sentence}; this is extrapolation"
             warnings.warn(text, OutsideDataWarning, stacklevel=2)
@@ -109,7 +133,7 @@ class Identified:
 
 
 def parameters_text(identified: Identified, settings: Mapping[str, Any]) -> str:
-    """The text of a parameters file; `settings` are what the model was built from."""
+    """Return the text of a parameters file; `settings` are the arguments of the model."""
     model = identified.model
     document = {
         "format": FORMAT,
@@ -134,13 +158,31 @@ def parameters_text(identified: Identified, settings: Mapping[str, Any]) -> str:
 
 
 def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
-    """The identified model in a parameters file, which must be one of `model`'s.
+    """Read an identified model from a parameters file.
 
-    Raises ParametersError for a file that is damaged, of another format or of another model,
-    FileNotFoundError if there is none. Warns with UncheckedWarning of a file without a checksum:
-    older ones have none, and who edits a file by hand removes the line.
+    A file without a checksum causes an UncheckedWarning. Older files have no checksum; remove its
+    line if you edit a file by hand.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The parameters file.
+    model : Model
+        The model of the file, with the same settings.
+
+    Returns
+    -------
+    Identified
+        The model with parameters, uncertainty and ranges.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ParametersError
+        If the file is damaged, or has another format or another model.
     """
-    # What is written by `parameters_text`, and as it was written.
+    # Check the size, checksum and format.
     text = read_regular(path, LARGEST + 1)
     if len(text) > LARGEST:
         raise ParametersError(f"{path}: is larger than {LARGEST >> 20} MiB; name a parameters file")
@@ -148,15 +190,17 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
         document = json.loads(text, parse_constant=_refused)
         digest = document.pop("sha256", None)
         if digest is None:
-            warnings.warn(f"{path}: has no checksum, so damage is not seen", UncheckedWarning, 2)
+            warnings.warn(
+                f"{path}: has no checksum, so damage is not detected", UncheckedWarning, 2
+            )
         elif digest != _digest(document):
             raise ParametersError(
-                f"{path}: checksum does not match, so it is damaged; identify again, or remove the "
-                "line sha256 if you changed the file yourself"
+                f"{path}: checksum does not match the content; identify again, or remove the line "
+                "sha256 if you edited the file"
             )
         if document["format"] != FORMAT:
             raise ParametersError(f"{path}: has format {document['format']!r}; expected {FORMAT}")
-        # Of this model; `Identified` checks parameters, units and inputs.
+        # Check the model; `Identified` checks parameters, units and inputs.
         about = document["model"]
         name = type(model).__name__
         if about["name"] != name or about["output"] != model.output:
@@ -185,13 +229,13 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
 
 
 def _digest(document: Mapping[str, Any]) -> str:
-    """SHA-256 of a document's content, whatever its layout."""
+    """Return the SHA-256 digest of a document's content, independent of its layout."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _refused(constant: str) -> float:
-    raise ValueError(f"holds {constant}")
+    raise ValueError(f"contains {constant}")
 
 
 def _number(value: float) -> float | None:

@@ -1,7 +1,7 @@
-"""Whether a function in a file does nothing but arithmetic, told from its text without calling it.
+"""Static check that a function in a file consists of arithmetic only.
 
-What is allowed is listed, anything else is not: so a function that counts its calls, reads a file
-or ends the process is never called to find out what it computes.
+The function is not called, and an allow-list decides. A function that counts its calls, reads a
+file or ends the process is therefore never called to find out what it computes.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ SYNTAX = (
     ast.BoolOp, ast.Compare, ast.Constant, ast.Tuple, ast.Name, ast.Attribute, ast.Call,
     ast.keyword, ast.expr_context, ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
 )  # fmt: skip
-"""No loops, so that it ends; nothing is stored but in variables of the function."""
+"""Allowed syntax, without loops and with assignments to local variables only."""
 OTHERS = (abs, np.where, np.clip)
 NUMBERS = (bool, int, float, np.float64)
-"""And none that are made of these, whose arithmetic may do more."""
+"""Allowed types of constants; subclasses may redefine arithmetic and are not allowed."""
 
 
 def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
-    """Whether it is arithmetic on its arguments, numbers, functions of NumPy, math and its kind.
+    """Return whether a function is arithmetic on arguments and numbers.
 
-    `callers` are functions that call it, none of which it may call.
+    It may call functions of NumPy and math, and other arithmetic functions. `callers` are the
+    functions that call it; it may not call them again.
     """
     if not isinstance(function, FunctionType) or function in callers:
         return False
@@ -61,9 +62,9 @@ def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool
 
 
 def may_catch(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
-    """Whether a function, or one of its module that it uses, may catch what its arithmetic raises.
+    """Return whether a function, or one of its module that it uses, may catch errors.
 
-    Then it may hide that it takes no arrays. `callers` are functions that use it.
+    Such a function may hide that it does not support arrays. `callers` are functions that use it.
     """
     function = getattr(function, "__func__", function)
     if not isinstance(function, FunctionType) or function in callers:
@@ -87,7 +88,7 @@ def may_catch(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
 
 
 def _is_of_numbers(value: Any) -> bool:
-    """Whether a global is a number, or a function of numbers that does nothing else."""
+    """Return whether a global is a number or a pure function of numbers."""
     if isinstance(value, np.ufunc):
         return getattr(np, value.__name__, None) is value
     if isinstance(value, BuiltinFunctionType) and value.__module__ == "math":
@@ -96,7 +97,7 @@ def _is_of_numbers(value: Any) -> bool:
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef | None:
-    """Where the text of its file defines a function, None where it does not."""
+    """Return the definition of a function in the text of its file, None if it is not found."""
     code = function.__code__
     try:
         tree = ast.parse(read_regular(code.co_filename))

@@ -1,8 +1,8 @@
 """Formulas as graphs, traced from plain functions and differentiated.
 
-A function that is arithmetic and NumPy's functions of numbers, called with symbols for numbers,
-leaves the graph of what it computes. From that graph come its derivatives, by the chain rule from
-the result to the arguments (reverse accumulation; Griewank and Walther 2008, Ch. 3.2).
+A function of arithmetic and NumPy's elementwise functions is called with symbols in place of
+numbers, and returns the graph of its computation. Derivatives of the graph follow by reverse
+accumulation (Griewank and Walther, Evaluating Derivatives, 2008, Ch. 3.2).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 MOST = 5000
-"""Operations at most: the compiler takes longer than the model for more."""
+"""Largest number of operations; compiling a longer formula takes longer than it saves."""
 TINY, HUGE = 1e-100, 1e300
-"""Beside a branch point derivatives are those at this distance, so that 0 times them is 0."""
+"""Bounds that keep derivatives near branch points finite, so that 0 times them is 0."""
 
 
-class NotAFormulaError(BaseException):  # which an `except Exception` of the function lets through
-    """A function does what is not arithmetic on numbers; noted for the trace, if it hides that."""
+class NotAFormulaError(BaseException):  # an `except Exception` of the function does not catch it
+    """A function cannot be traced; the trace notes the error in case the function catches it."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -32,22 +32,22 @@ class NotAFormulaError(BaseException):  # which an `except Exception` of the fun
 
 
 REFUSALS: ContextVar[list[NotAFormulaError] | None] = ContextVar("refusals", default=None)
-"""The refusals of the trace in progress."""
+"""Errors of the trace in progress."""
 
 
 def _operator(name: str, swapped: bool = False) -> Callable[..., Any]:
-    """The method of a symbol that leaves an operation."""
+    """Return a method of symbols that creates an operation."""
     if swapped:
         return lambda self, other: operation(name, other, self)
     return lambda *symbols: operation(name, *symbols)
 
 
 class Symbol:
-    """A number that is not known yet: an argument, a constant, or an operation on symbols.
+    """A node of a graph: an argument, a constant, or an operation on symbols.
 
-    `operation` is a name in OPERATIONS with its `arguments`, ARGUMENT with the name to write for
-    it, or CONSTANT with a number. A symbol cannot be asked for its value: a comparison leaves a
-    symbol too, one of CONDITION, which `np.where` takes.
+    `operation` is a name in OPERATIONS with its `arguments`, ARGUMENT with its name, or CONSTANT
+    with its number. A symbol has no truth value; a comparison creates a symbol with an operation
+    in CONDITION, which `np.where` accepts.
     """
 
     __slots__ = ("arguments", "operation")
@@ -58,7 +58,7 @@ class Symbol:
 
     @property
     def number(self) -> float | None:
-        """The value of a constant."""
+        """Value of a constant, None for other symbols."""
         return self.arguments[0] if self.operation == CONSTANT else None
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **keywords: Any) -> Any:
@@ -108,23 +108,23 @@ CONDITION = (
     "greater", "greater_equal", "less", "less_equal", "equal", "not_equal", *LOGIC,
 )  # fmt: skip
 BENDS = (*CONDITION, "sign", "minimum", "maximum", "absolute")
-"""Operations whose derivatives jump where their arguments say."""
-FINITE = (ARGUMENT, CONSTANT, *CONDITION)  # as data and parameters are: 0 times them is 0
+"""Operations with discontinuous derivatives."""
+FINITE = (ARGUMENT, CONSTANT, *CONDITION)  # finite operations: 0 times them is 0
 
 
 @cache
 def argument(name: str) -> Symbol:
-    """The one symbol of an argument that is written as `name`."""
+    """Return the unique symbol of the argument `name`."""
     return Symbol(ARGUMENT, name)
 
 
 def constant(value: float) -> Symbol:
-    """The symbol of a number."""
+    """Return the symbol of a number."""
     return Symbol(CONSTANT, float(value))
 
 
 def operation(name: str, *arguments: Any) -> Symbol:
-    """An operation on symbols and numbers, simplified where one of them is 0 or 1."""
+    """Return an operation on symbols and numbers, simplified if an argument is 0 or 1."""
     symbols = [_symbol(value) for value in arguments]
     numbers = [symbol.number for symbol in symbols]
     if None not in numbers:
@@ -139,7 +139,7 @@ def operation(name: str, *arguments: Any) -> Symbol:
 
 
 def _check_conditions(name: str, symbols: Sequence[Symbol]) -> None:
-    """Refuse what NumPy does otherwise with true and false than with 1 and 0."""
+    """Refuse operations for which NumPy treats bools differently from 1 and 0."""
     conditions = [symbol.operation in CONDITION for symbol in symbols]
     logical = [symbol.operation in CONDITION or symbol.number in (0, 1) for symbol in symbols]
     if name in LOGIC:
@@ -147,7 +147,7 @@ def _check_conditions(name: str, symbols: Sequence[Symbol]) -> None:
     else:
         fitting = not all(conditions) and (name != "where" or logical[0])
     if not fitting:
-        raise NotAFormulaError(f"{name} of what is a condition, or is none")
+        raise NotAFormulaError(f"{name} does not accept these conditions or numbers")
 
 
 def _symbol(value: Any) -> Symbol:
@@ -155,14 +155,14 @@ def _symbol(value: Any) -> Symbol:
         return value
     number = np.asarray(value)
     if number.ndim or number.dtype.kind not in "fiu":
-        raise NotAFormulaError(f"{value!r} is no number")
+        raise NotAFormulaError(f"expected a number, got {value!r}")
     return constant(float(number))
 
 
 def _simplified(
     name: str, symbols: Sequence[Symbol], numbers: Sequence[float | None]
 ) -> Symbol | None:
-    """A shorter form of the same value, None without one."""
+    """Return a simpler symbol of the same value, None if there is none."""
     if name in ("add", "subtract", "multiply", "divide", "power"):
         (left, right), (a, b) = symbols, numbers
         if (name in ("add", "subtract") and b == 0) or (name != "add" and b == 1):
@@ -172,7 +172,7 @@ def _simplified(
         other = right if a is not None else left
         if name == "multiply" and 0 in (a, b) and other.operation in FINITE:
             return constant(0.0)
-        if other.operation in CONDITION:  # whose negative and square NumPy takes otherwise
+        if other.operation in CONDITION:  # bools have no negative and no square
             return None
         if name == "subtract" and a == 0:
             return operation("negative", right)
@@ -201,7 +201,10 @@ Partials = Callable[..., tuple[Any, ...]]
 
 
 def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
-    """Of a^b. A negative base has a value for a whole exponent only, and then the sign of z."""
+    """Return the partial derivatives of a^b.
+
+    A negative base needs an integer exponent; the sign of z and a selects the derivative.
+    """
     above = operation("maximum", operation("absolute", a), TINY)
     if b.number is not None and b.number.is_integer():
         return (b * a ** (b - 1) if b.number else 0.0), constant(0.0)
@@ -211,19 +214,19 @@ def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
 
 
 def _above(value: Any) -> Symbol:
-    """At least TINY."""
+    """Return the maximum of a value and TINY."""
     return operation("maximum", value, TINY)
 
 
 def _bounded(value: Any) -> Symbol:
-    """A partial derivative that is not infinite, so that 0 times it is 0."""
+    """Return a partial derivative with an upper bound, so that 0 times it is 0."""
     if isinstance(value, Symbol) and value.operation in (ARGUMENT, CONSTANT):
         return value
     return operation("minimum", operation("maximum", value, -HUGE), HUGE)
 
 
 def _no_partials(z: Symbol, *arguments: Symbol) -> tuple[int, ...]:
-    """Those of a step."""
+    """Return zeros, the partial derivatives of a step."""
     return (0,) * len(arguments)
 
 
@@ -280,9 +283,9 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     "logical_and": ("{} & {}", _no_partials),
     "logical_or": ("{} | {}", _no_partials),
     "logical_not": ("np.logical_not({})", _no_partials),
-    "where": ("np.where({}, {}, {})", _no_partials),  # `gradient` chooses between those of both
+    "where": ("np.where({}, {}, {})", _no_partials),  # `gradient` selects a branch
 }
-"""How an operation is written, and its partial derivatives given its value and arguments."""
+"""Python template of each operation, and its partial derivatives by its value and arguments."""
 UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
     "bitwise_and": "logical_and",
     "bitwise_or": "logical_or",
@@ -291,19 +294,22 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
     "float_power": "power",
     "fabs": "absolute",
 }
-"""NumPy's functions of numbers that leave a symbol, by their own names."""
+"""Operations of NumPy's elementwise functions, by their names."""
 
 
 def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol:
-    """What a function gives for symbols; raises NotAFormulaError for none or too long a formula."""
+    """Return the graph of a function; raises NotAFormulaError if it has none or a too long one."""
     result: Symbol = of_symbols(lambda: _symbol(function(*arguments, **keywords)))
     if len(ordered([result])) > MOST:
-        raise NotAFormulaError(f"it has more than {MOST} operations")
+        raise NotAFormulaError(f"the formula has more than {MOST} operations")
     return result
 
 
 def of_symbols(call: Callable[[], Any]) -> Any:
-    """What a call gives; raises NotAFormulaError if it asks for a value, even if it hides that."""
+    """Return the result of a call with symbols.
+
+    Raises NotAFormulaError if the call needs the value of a symbol, even if it catches the error.
+    """
     refusals: list[NotAFormulaError] = []
     token = REFUSALS.set(refusals)
     try:
@@ -318,7 +324,7 @@ def of_symbols(call: Callable[[], Any]) -> Any:
 
 
 def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
-    """The derivatives of a result with respect to arguments, almost everywhere: jumps have none."""
+    """Return the derivatives of a result by arguments; they hold everywhere except at jumps."""
     branches: dict[Symbol, list[Symbol]] = {}
     for symbol in ordered([result]):
         if symbol.operation == "where":
@@ -330,10 +336,10 @@ def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
 def _slopes(
     result: Symbol, variables: Sequence[Symbol], branches: Mapping[Symbol, Sequence[Symbol]]
 ) -> list[Symbol]:
-    """As `gradient`, given that of each branch of a choice.
+    """Return the gradient, given the gradients of all branches of `where`.
 
-    Between the derivatives of two branches the condition chooses as between their values, so that
-    it does not matter what the other one's are, which may be infinite.
+    The condition selects derivatives as it selects values, so infinite derivatives of the other
+    branch have no effect.
     """
     adjoints: dict[Symbol, Any] = {result: constant(1.0)}
     slopes: list[Any] = [0.0] * len(variables)
@@ -357,23 +363,24 @@ def _slopes(
 
 
 def _product(adjoint: Any, partial: Any) -> Any:
-    """Of derivatives, where 0 times anything is 0."""
+    """Return the product of derivatives, with 0 times anything equal to 0."""
     return 0.0 if 0 in (_symbol(adjoint).number, _symbol(partial).number) else adjoint * partial
 
 
 def jointly_linear(
     result: Symbol, variables: Sequence[Symbol], slopes: Sequence[Symbol]
 ) -> list[int]:
-    """Positions of variables in which a result is jointly linear, as many as come first.
+    """Return the positions of variables in which a result is jointly linear.
 
-    `slopes` are its derivatives with respect to them.
+    Variables are added in their order while the result stays jointly linear. `slopes` are the
+    derivatives by the variables.
     """
     positions: list[int] = []
     dependence = [arguments_of([slope]) for slope in slopes]
     names = [variable.arguments[0] for variable in variables]
     used = arguments_of([result]) - arguments_of(
         s for s in ordered([result]) if s.operation in BENDS
-    )  # whose derivatives are constant on either side of a bend
+    )  # without variables in conditions and kinks, which have constant derivatives on both sides
     for k, name in enumerate(names):
         others = [names[i] for i in positions]
         bent = any(name in dependence[i] for i in positions)
@@ -383,12 +390,12 @@ def jointly_linear(
 
 
 def arguments_of(results: Iterable[Symbol]) -> set[str]:
-    """The names of the arguments that results depend on."""
+    """Return the names of the arguments of results."""
     return {s.arguments[0] for s in ordered(results) if s.operation == ARGUMENT}
 
 
 def ordered(results: Iterable[Symbol], ends: Sequence[str] = (ARGUMENT, CONSTANT)) -> list[Symbol]:
-    """All symbols that results depend on up to such operations, each after its arguments."""
+    """Return all symbols under results in topological order, without going below `ends`."""
     order: list[Symbol] = []
     seen: set[Symbol] = set()
     stack: list[tuple[Symbol, bool]] = [(result, False) for result in results]

@@ -1,4 +1,4 @@
-"""Trajectories by the machine of `miho.core`, from tapes of the equations."""
+"""Trajectories from tapes of the equations, solved by the machine of `miho.core`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from miho.quantities import Array, Integers
 
 
 class Slopes(NamedTuple):
-    """Derivatives of rates or outputs by states (S,) and parameters (d,), but those that are zero.
+    """Nonzero derivatives of rates or outputs by states (S,) and parameters (d,).
 
-    Result i of the tape is the derivative of the number at[i, 0] by the state at[i, 1], or by the
-    parameter at[i, 1] - S. In `at` (count, 2) those by states are first, and both are in the order
-    of rows. Inputs of the tape are t, u and x.
+    Result i of the tape is the derivative of row at[i, 0] by state at[i, 1], or by parameter
+    at[i, 1] - S. In `at` (count, 2), derivatives by states come first, and each group is sorted by
+    rows. Inputs of the tape are t, u and x.
     """
 
     tape: Tape
@@ -30,11 +30,12 @@ class Slopes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TapedEquations:
-    """Right-hand side and outputs as tapes, of which the machine computes trajectories.
+    """Right-hand side and outputs as tapes, from which the machine computes trajectories.
 
-    `rates` and `outputs` have the inputs x and p and the parameters t and u, so that many parameter
-    rows go side by side; their slopes have the inputs t, u and x and the parameters p, so that many
-    times do. `level` is that of the processor's instructions, -1 for the highest.
+    `rates` and `outputs` have the inputs x and p and the parameters t and u, so that they evaluate
+    many parameter rows at once. Their slopes have the inputs t, u and x and the parameters p, so
+    that they evaluate many times at once. `level` is the instruction set level of the processor,
+    -1 for the highest.
     """
 
     rates: Tape
@@ -44,12 +45,12 @@ class TapedEquations:
     level: int = -1
 
     def solve(self, thetas: Array, course: Course, out: Array) -> None:
-        """Write the outputs, out (n, R), of parameter rows (n, d)."""
+        """Write the outputs of parameter rows (n, d) to out (n, R)."""
         rates, outputs, *_ = self._in_machine
         machine().solve_trajectories(rates, outputs, thetas, course, out)
 
     def derive(self, theta: Array, course: Course, out: Array) -> None:
-        """Write the derivatives of the outputs, out (R, d), at theta (d,)."""
+        """Write the derivatives of the outputs at theta (d,) to out (R, d)."""
         machine().derive_trajectory(*self._in_machine, theta, course, out)
 
     @cached_property
@@ -65,9 +66,9 @@ def taped_equations(
     rates: Sequence[Symbol], outputs: Sequence[Symbol],
     u: Sequence[Symbol], x: Sequence[Symbol], p: Sequence[Symbol],
 ) -> TapedEquations | None:  # fmt: skip
-    """The tapes of rates and outputs of t, u, x and p.
+    """Return the tapes of rates and outputs of t, u, x and p.
 
-    None without a machine, or where one of them is too long for it.
+    The result is None without a machine, or if a tape is too long for it.
     """
     if machine() is None:
         return None

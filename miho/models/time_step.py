@@ -1,4 +1,4 @@
-"""Whether the time step of a simulation is small enough for what the data can tell."""
+"""Check that the time step of a simulation is small enough for the precision of the data."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from miho.models.trajectory import Trajectory
 
 NOTICEABLE = 0.25
-"""Standard errors by which the solver's own error may move a parameter before it is told."""
+"""Largest error of the solver that is not reported, in standard errors of a parameter."""
 
 
 def time_step_remarks(
     model: Trajectory | FmuModel, order: int, theta: Array, noise: float, *inputs: Array
 ) -> list[str]:
-    """A sentence if half the step would move parameters by much of their standard errors.
+    """Return a sentence if a halved step would move the optimum by much of its standard errors.
 
-    The change of the solution, projected on what the parameters can do, over the standard deviation
-    of the errors, `noise`: so many standard errors at most does the optimum `theta` (d,) move in
-    any direction. The solver's error falls with a power of the step, its `order`.
+    The change of the solution is projected on the column space of the Jacobian and divided by the
+    standard deviation of the residuals, `noise`. The result bounds the movement of the optimum
+    `theta` (d,) in any direction, in standard errors. `order` is the order of the solver.
     """
     if noise == 0:
         return []
@@ -40,6 +40,6 @@ def time_step_remarks(
     if np.isfinite(errors):
         needed = int(np.ceil(model.substeps * (errors / NOTICEABLE) ** (1 / order))) + 1
     return [
-        f"half the time step moves the optimum by up to {errors:.2g} standard errors: set "
-        f"substeps to {needed}, it is {model.substeps}."
+        f"half the time step moves the optimum by up to {errors:.2g} standard errors: increase "
+        f"substeps from {model.substeps} to {needed}."
     ]

@@ -1,4 +1,4 @@
-"""A vehicle from plain settings, as files of the configuration give them."""
+"""Vehicle models from plain settings of a configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KNOWN = frozenset(field.name for kind in (SingleTrack, Longitudinal) for field i
 
 
 def from_settings(kind: type[T], vehicle: Mapping[str, object]) -> T:
-    """The model of that `kind` from settings that may hold the other's fields too, in SI units."""
+    """Return the model of a kind from settings in SI units; the other kind's fields are allowed."""
     unknown = sorted(set(vehicle) - KNOWN)
     if unknown:
         raise ValueError(f"vehicle.{unknown[0]} is unknown; allowed are {', '.join(sorted(KNOWN))}")
