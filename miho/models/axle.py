@@ -17,9 +17,19 @@ _MODELS = {len(model.parameters): model for model in (Pacejka(), PacejkaCurvatur
 class Axle:
     """The left and the right tire of an axle, which have the same slip angle.
 
-    left, right: parameters of `Pacejka` (B, C, D, Sx, Sy) or of `PacejkaCurvature`
-    (B, C, D, E, Sx, Sy), each at the load its wheel carries; the two may differ in kind. The sum
-    is not such a curve itself; identified from data of the axle, one curve comes close.
+    The sum of two curves is not itself a curve of `Pacejka`; a single curve that is identified
+    from data of the axle approximates it closely.
+
+    Parameters
+    ----------
+    left, right : array_like, shape (5,) or (6,)
+        Parameters of `Pacejka` (B, C, D, Sx, Sy) or `PacejkaCurvature` (B, C, D, E, Sx, Sy), each
+        at the load of its wheel. The two may have different models.
+
+    Raises
+    ------
+    ValueError
+        If parameters are not finite or have another shape.
     """
 
     left: Array
@@ -37,7 +47,7 @@ class Axle:
             object.__setattr__(self, side, theta)
 
     def force(self, alpha: ArrayLike) -> Array:
-        """Lateral force of both tires [N] at slip angles [rad] of any shape, ISO-W."""
+        """Return the lateral force of both tires [N] at slip angles [rad] of any shape, ISO-W."""
         slip = np.asarray(alpha, dtype=float)
         forces = (
             _MODELS[theta.size].predict(theta[None], slip.ravel())[0]
@@ -47,18 +57,34 @@ class Axle:
 
     @property
     def cornering_stiffness(self) -> float:
-        """Sum of both tires' slopes at zero slip angle [N/rad]: the axle's, no factor 2."""
+        """Cornering stiffness of the axle [N/rad], the sum of both tires at zero slip angle."""
         return float(cornering_stiffness(self.left) + cornering_stiffness(self.right))
 
 
 def cornering_stiffness(theta: ArrayLike) -> Array:
-    """-dFy/dalpha at alpha = 0 [N/rad] of parameters (..., 5) or (..., 6): (...), positive.
+    """Return the cornering stiffness -dFy/dalpha at alpha = 0.
 
         B C D cos(C arctan(w)) / (1 + w^2) (1 - E z^2 / (1 + z^2)),   z = B Sx,
                                                                       w = z - E (z - arctan(z))
 
-    For E = 0 that is B C D cos(C arctan(B Sx)) / (1 + B^2 Sx^2). It is what a controller
-    linearised about straight running needs; Eq. 14 is the slope at alpha = Sx.
+    For E = 0 this is B C D cos(C arctan(B Sx)) / (1 + B^2 Sx^2). A controller that is linearized
+    about straight driving needs this slope; Eq. 14 is the slope at alpha = Sx
+    (`central_stiffness`).
+
+    Parameters
+    ----------
+    theta : array_like, shape (..., 5) or (..., 6)
+        Parameters of `Pacejka` or `PacejkaCurvature`.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Cornering stiffness [N/rad], positive for usual tires.
+
+    Examples
+    --------
+    >>> float(cornering_stiffness([10.0, 1.5, 4000.0, 0.0, 0.0]))
+    60000.0
     """
     B, C, D, E, Sx = _curve(theta)
     z = B * Sx
@@ -68,28 +94,38 @@ def cornering_stiffness(theta: ArrayLike) -> Array:
 
 
 def central_stiffness(theta: ArrayLike) -> Array:
-    """Eq. 14: B C D [N/rad] of parameters (..., 5) or (..., 6), (...).
+    """Return the slope -dFy/dalpha at alpha = Sx, which is B C D (Eq. 14).
 
-    The slope -dFy/dalpha at alpha = Sx, whatever E; for Sx = 0 it is `cornering_stiffness`.
+    The slope does not depend on E. For Sx = 0 it equals `cornering_stiffness`.
+
+    Parameters
+    ----------
+    theta : array_like, shape (..., 5) or (..., 6)
+        Parameters of `Pacejka` or `PacejkaCurvature`.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Slope [N/rad].
     """
     B, C, D, _, _ = _curve(theta)
     return np.asarray(B * C * D)
 
 
 def curve_model(theta: ArrayLike) -> Pacejka | PacejkaCurvature:
-    """The model of parameters (..., 5) or (..., 6); raises ValueError for others."""
+    """Return the model of parameters (..., 5) or (..., 6); raises ValueError for other shapes."""
     values = np.asarray(theta, dtype=float)
     size = values.shape[-1] if values.ndim else 0
     if size not in _MODELS:
         raise ValueError(
-            f"theta has shape {values.shape}; expected 5 parameters of Pacejka or 6 of "
-            "PacejkaCurvature last"
+            f"theta has shape {values.shape}; expected (..., 5) for Pacejka or (..., 6) for "
+            "PacejkaCurvature"
         )
     return _MODELS[size]
 
 
 def _curve(theta: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
-    """B, C, D, E, Sx; E is 0 for the parameters of `Pacejka`."""
+    """Return B, C, D, E and Sx; E is 0 for `Pacejka`."""
     columns = np.moveaxis(np.asarray(theta, dtype=float), -1, 0)
     parameters = dict(zip(curve_model(theta).parameters, columns, strict=True))
     B, C, D, Sx = (parameters[name] for name in ("B", "C", "D", "Sx"))

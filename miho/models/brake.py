@@ -1,4 +1,4 @@
-"""The brake of a car: from command to force at the ground and back, and over time."""
+"""Brake of a car: force at the ground for a command, the inverse, and the response over time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from miho.validate import positive, positive_settings, settings_at_least
 
 
 class BrakeCommand(NamedTuple):
-    """A command u [-] and the part of the demanded force that it does not give, residual [N]."""
+    """A command u [-] and its residual, the demanded force minus the actual force [N]."""
 
     u: Array
     residual: Array
@@ -23,20 +23,35 @@ class BrakeCommand(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Brake:
-    """Two circuits on one command, as the four models identify them.
+    """Brake with two circuits and one command, composed of the identified brake models.
 
         command u -> steady pressure, front p_f = P_max ((u - u0) / (u1 - u0))^n, rear p_r
                   -> delay, lag (rising and falling)
                   -> torque of an axle T = K max(p - P0, 0)
                   -> force at the ground F = T_f / R_f + T_r / R_r
 
-    u0, u1, n [-] and P_max [Pa]: those of `BrakePressure`, for the front circuit. bias [-]: the
-    front's share of the sum of both pressures, p_r = p_f (1 - bias) / bias. K_front, K_rear
-    [Nm/Pa] and P0_front, P0_rear [Pa]: those of `BrakeTorque`. radius_front, radius_rear [m]: of
-    the wheels. delay, tau_rise, tau_fall [s]: those of `BrakeResponse`. hysteresis [-]: width of
-    the play in the command; it acts in `respond`, while `force` and `command` are its middle.
+    Forces [N] are positive if they slow the car. The grip of the tires does not limit them.
 
-    Forces [N] are positive when they slow the car; the tires' grip is not a limit here.
+    Parameters
+    ----------
+    u0, u1, P_max, n : float
+        Parameters of `BrakePressure` for the front circuit: [-], [-], [Pa], [-].
+    bias : float
+        Share of the front in the sum of both pressures [-]: p_r = p_f (1 - bias) / bias.
+    K_front, P0_front, K_rear, P0_rear : float
+        Parameters of `BrakeTorque` for each axle: K [Nm/Pa], P0 [Pa].
+    radius_front, radius_rear : float
+        Radii of the wheels [m].
+    delay, tau_rise, tau_fall : float
+        Parameters of `BrakeResponse` [s].
+    hysteresis : float, optional
+        Width of the play in the command [-]. It acts in `respond`; `force` and `command` use the
+        middle of the loop.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range, or if the brake cannot produce a force.
     """
 
     u0: float
@@ -65,7 +80,8 @@ class Brake:
             raise ValueError(f"bias is {self.bias}; expected between 0 and 1")
         if self.largest_force == 0:
             raise ValueError(
-                f"P_max is {self.P_max}; expected above what lays on the pads of an axle"
+                f"P_max is {self.P_max}; expected above the pressure at which the pads of an "
+                "axle touch"
             )
 
     @property
@@ -75,36 +91,36 @@ class Brake:
 
     @property
     def onset(self) -> float:
-        """The command at which force begins [-]; below it is the dead band."""
+        """Command at which the force begins [-], the end of the dead band."""
         return float(self._command_of(np.asarray(min(self._contact))))
 
     def pressure(self, u: ArrayLike) -> tuple[Array, Array]:
-        """Steady pressure of the front and of the rear circuit [Pa] at commands u [-]."""
+        """Return the steady pressures of the front and rear circuit [Pa] at commands u [-]."""
         u = np.asarray(u, dtype=float)
         curve = np.array([[self.u0, self.u1, self.P_max, self.n]])
         front = BrakePressure().predict(curve, u.ravel()).reshape(u.shape)
         return front, front * self._rear
 
     def force(self, u: ArrayLike) -> Array:
-        """Steady force at the ground [N] at commands u [-]."""
+        """Return the steady force at the ground [N] at commands u [-]."""
         return self.force_of_pressure(self.pressure(u)[0])
 
     def force_of_pressure(self, front: ArrayLike) -> Array:
-        """Force at the ground [N] at pressures of the front circuit [Pa]."""
+        """Return the force at the ground [N] at pressures of the front circuit [Pa]."""
         p = np.asarray(front, dtype=float)
         gains = zip(self._gain, self._contact, strict=True)
         return np.asarray(sum(gain * np.maximum(p - contact, 0.0) for gain, contact in gains))
 
     def command(self, force: ArrayLike) -> BrakeCommand:
-        """The steady command for a force [N], the inverse of `force`.
+        """Return the steady command for a force [N], the inverse of `force`.
 
-        No force, or a negative one, is the released brake (u = 0); more than the largest is u1.
-        The residual is the demanded force less the one that the command gives.
+        A force of 0 or below gives the released brake (u = 0), and a force above the largest one
+        gives u1. The residual is the demanded force minus the force of the command.
         """
         F = np.asarray(force, dtype=float)
         if np.isnan(F).any():
             raise ValueError("force is NaN; expected numbers [N]")
-        # The axle whose pads touch first works alone until the other's do.
+        # One axle works alone until the pads of the other axle touch.
         (first, k_first), (second, k_second) = sorted(zip(self._contact, self._gain, strict=True))
         alone = first + F / k_first
         both = (F + k_first * first + k_second * second) / (k_first + k_second)
@@ -113,9 +129,10 @@ class Brake:
         return BrakeCommand(u, F - self.force(u))
 
     def respond(self, u: ArrayLike, dt: float) -> Array:
-        """Pressure of the front circuit [Pa] after commands u (N,), each held for dt [s].
+        """Return the pressure of the front circuit [Pa] for commands u (N,), each held for dt [s].
 
-        Row i is the pressure at i dt; before, the brake was at rest at the first command.
+        Row i is the pressure at time i dt. Before the record, the brake is at rest at the first
+        command.
         """
         u = np.asarray(u, dtype=float)
         if u.ndim != 1 or not u.size or not np.isfinite(u).all():
@@ -128,12 +145,12 @@ class Brake:
 
     @property
     def _rear(self) -> float:
-        """Pressure of the rear circuit over that of the front [-]."""
+        """Ratio of the rear to the front pressure [-]."""
         return (1 - self.bias) / self.bias
 
     @property
     def _gain(self) -> tuple[float, float]:
-        """Force over pressure of the front circuit [N/Pa], front and rear axle."""
+        """Force of the front and rear axle per pressure of the front circuit [N/Pa]."""
         return self.K_front / self.radius_front, self.K_rear * self._rear / self.radius_rear
 
     @property
@@ -142,6 +159,6 @@ class Brake:
         return self.P0_front, self.P0_rear / self._rear
 
     def _command_of(self, front: Array) -> Array:
-        """The command that gives a pressure of the front circuit, at most u1."""
+        """Return the command for a pressure of the front circuit, at most u1."""
         share = np.clip(front / self.P_max, 0.0, 1.0)
         return np.asarray(self.u0 + (self.u1 - self.u0) * share ** (1 / self.n))

@@ -1,4 +1,4 @@
-"""The dynamic brake: how its pressure follows the command, with delay, lag and play."""
+"""Dynamic brake: response of the pressure to the command, with delay, lag and play."""
 
 from __future__ import annotations
 
@@ -14,11 +14,33 @@ from miho.validate import at_least
 
 
 def play(values: Array, width: float) -> Array:
-    """Play (backlash) of a full width, in the unit of the values (N,): a loop of hysteresis.
+    """Return the output of play (backlash), a hysteresis operator.
 
-    The output rests until the input has left the band of that width around it, and is then
-    dragged along, width / 2 below a rising input and above a falling one. It starts at the first
-    value.
+    The output is constant while the input stays in a band around it. Outside the band, the output
+    follows width / 2 below a rising input and width / 2 above a falling input.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Input. The output starts at the first value.
+    width : float
+        Full width of the band, in the unit of the values, at least 0.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Output.
+
+    Raises
+    ------
+    ValueError
+        If the width is negative.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> play(np.array([0.0, 1.0, 0.8, 0.0]), 0.5).tolist()
+    [0.0, 0.75, 0.75, 0.25]
     """
     at_least("width", width, 0)
     half = width / 2
@@ -30,16 +52,14 @@ def play(values: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class BrakeResponse(Model):
-    """Pressure p [Pa] over time t [s], from the steady pressure that is commanded, target [Pa].
+    """Pressure p [Pa] over time t [s], from the commanded steady pressure, target [Pa].
 
-        tau dp/dt = target(t - delay) - p,   tau = tau_rise where p rises, tau_fall where it falls
+        tau dp/dt = target(t - delay) - p,   tau = tau_rise if p rises, tau_fall if it falls
 
-    delay >= 0, tau_rise > 0 and tau_fall > 0 in s. Rows are one record in the order of time, at
-    any distance; a target holds until the next row, and p is at rest at the first target before
-    the record begins. Under these conditions the values are the exact solution, for any delay.
-
-    A row depends on those before it: this model cannot be fitted to some of the rows, nor to rows
-    in another order, for which it raises ValueError.
+    The parameters are delay >= 0, tau_rise > 0 and tau_fall > 0 [s]. Rows are one record in order
+    of time, at any distance. A target is held until the next row, and p is at rest at the first
+    target before the record begins. Values are the exact solution under these conditions, for any
+    delay. A row depends on the earlier rows; rows in another order raise ValueError.
     """
 
     inputs = MappingProxyType({"t": "s", "target": "Pa"})
@@ -52,7 +72,7 @@ class BrakeResponse(Model):
         t, target = inputs
         starts, levels = _steps(t, target)
         delay, rise, fall = thetas.T
-        # At its delayed start a step finds a pressure that does not depend on the delay.
+        # The pressure at the delayed start of a step does not depend on the delay.
         P = np.empty((len(starts), len(thetas)))
         tau = np.empty_like(P)
         P[0] = levels[0]
@@ -68,7 +88,7 @@ class BrakeResponse(Model):
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the pressure with respect to (delay, tau_rise, tau_fall), (N, 3).
 
-        At the instant at which a step arrives they are those after it.
+        At the arrival of a step, they are right-hand derivatives.
         """
         t, target = inputs
         starts, levels = _steps(t, target)
@@ -97,15 +117,17 @@ class BrakeResponse(Model):
 
 
 def _steps(t: Array, target: Array) -> tuple[Array, Array]:
-    """Times at which the target changes, the first row's among them, and its values from there."""
+    """Return the times at which the target changes, from the first row on, and its new values."""
     if not (np.diff(t) > 0).all():
-        raise ValueError("t does not increase from row to row; give one record in order of time")
+        raise ValueError(
+            "t does not increase from row to row; sort the rows by time and give one record"
+        )
     changes = np.flatnonzero(np.diff(target, prepend=np.nan) != 0)
     return t[changes], target[changes]
 
 
 def _position(t: Array, starts: Array, delay: Array) -> tuple[NDArray[np.intp], Array]:
-    """The step that each row is in, and for how long it has been [s], (n, N) each."""
+    """Return the step of each row, and the time since its start [s], (n, N) each."""
     delayed = t - delay[:, None]
     k = np.maximum(np.searchsorted(starts, delayed, side="right") - 1, 0)
     return k, np.maximum(delayed - starts[k], 0.0)

@@ -1,4 +1,4 @@
-"""The steady brake with play: pressure over command, with a loop of hysteresis."""
+"""Steady brake with play: pressure over command with hysteresis."""
 
 from __future__ import annotations
 
@@ -12,25 +12,27 @@ from miho.models.model import Model
 from miho.quantities import Array
 
 CELLS = 16384
-"""Rows times configurations that are computed together: about what stays in a cache."""
+"""Rows times configurations of a batch, chosen to fit into a cache."""
 
 
 @dataclass(frozen=True)
 class BrakePlay(Model):
-    """Steady pressure p [Pa] of a circuit over the command u [-], behind play in the linkage.
+    """Steady pressure p [Pa] of a circuit over the command u [-], with play in the linkage.
 
         p = P_max ((v - u0) / (u1 - u0))^n,   0 below u0, P_max above u1
         v_i = min(max(v_{i-1}, u_i - width / 2), u_i + width / 2),   v_0 = u_0
 
-    v is the play operator (Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989;
-    Visintin, Differential Models of Hysteresis, 1994) of the full `width` >= 0 [-]: it rests until
-    the command has left the band around it, and is then dragged along behind. The other
-    parameters are those of `BrakePressure`. The rows are one record in its order, however fast it
-    was taken; v starts at the first command.
+    v is the output of a play operator with the full `width` >= 0 [-] (see `play`). The other
+    parameters are the parameters of `BrakePressure`. Rows are one record in order, at any rate;
+    v starts at the first command.
 
-    The output is continuous in the parameters but has kinks: in u0 and u1 where the curve begins
-    and ends, and in `width` where the dragging of a row begins or ends. Between kinks `jacobian`
-    is exact, and no derivative tells of those ahead.
+    The output is continuous in the parameters and has kinks: in u0 and u1 at the ends of the
+    curve, and in `width` at rows where play begins or ends. `jacobian` is exact between kinks.
+
+    References
+    ----------
+    Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989). Visintin, Differential Models of
+    Hysteresis (1994).
     """
 
     inputs = MappingProxyType({"u": "-"})
@@ -61,11 +63,11 @@ class BrakePlay(Model):
 
 
 def _played(u: Array, widths: Array) -> Array:
-    """Outputs (n, N) of the play of each width (n,) at a record of commands (N,).
+    """Return outputs (n, N) of play with each width (n,) for a record of commands (N,).
 
-    Each row clips what came before to a band. Two clips after each other are one clip, whose ends
-    are those of the first, clipped by the second. So rows are joined with those 1, 2, 4, ... before
-    them, until each has all before it.
+    Each row clips the previous output to a band. Two successive clips are one clip, with the ends
+    of the first clipped by the second. The loop therefore joins each row with the rows 1, 2, 4, ...
+    before it, until it covers all earlier rows (a parallel prefix scan).
     """
     low, high = u[:, None] - widths / 2, u[:, None] + widths / 2
     low[:1] = high[:1] = u[:1, None]
@@ -79,7 +81,7 @@ def _played(u: Array, widths: Array) -> Array:
 
 
 def _by_width(u: Array, v: Array, width: float) -> Array:
-    """The derivative (N,) of the output v (N,) in the width: of the row that dragged it last."""
+    """Return the derivative (N,) of the output v (N,) by the width, set by the last moving row."""
     before = np.append(u[:1], v[:-1])
     risen, fallen = u - width / 2 > before, u + width / 2 < before
     last = np.maximum.accumulate(np.where(risen | fallen, np.arange(u.size), 0))

@@ -1,7 +1,7 @@
-"""The steady brake: pressure over command, torque over pressure, deceleration over pressure.
+"""Steady brake: pressure over command, torque over pressure, deceleration over pressure.
 
-The paper omits its brake model; this is the usual one of automated vehicles (Hedrick et al. 1997,
-Raza et al. 1997). Each model is identified on its own; `Brake` composes them.
+The paper does not describe its brake model. These are common models of automated vehicles
+(Hedrick et al. 1997, Raza et al. 1997). Each model is identified separately; `Brake` composes them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class BrakePressure(Model):
 
         p = P_max ((u - u0) / (u1 - u0))^n,   0 below u0, P_max above u1
 
-    u0 < u1 [-] are the commands at which pressure begins and ends to rise, n > 0 [-] bends the
-    curve. Data that stay below u1 cannot tell u1 from P_max: only P_max / (u1 - u0)^n is in them.
+    The pressure rises between the commands u0 < u1 [-], and n > 0 [-] is the curvature exponent.
+    Data below u1 cannot separate u1 from P_max [Pa]: they determine P_max / (u1 - u0)^n only.
     """
 
     inputs = MappingProxyType({"u": "-"})
@@ -39,7 +39,7 @@ class BrakePressure(Model):
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the pressure with respect to (u0, u1, P_max, n), (N, 4).
 
-        At the two kinks, u = u0 and u = u1, they are those of the flat side.
+        At the two kinks, u = u0 and u = u1, they are the derivatives of the constant side.
         """
         (u,) = inputs
         u0, u1, P_max, n = theta
@@ -63,8 +63,8 @@ class BrakeTorque(Model):
 
         T = K max(p - P0, 0)
 
-    K [Nm/Pa] holds pistons, pads, disc and friction; P0 [Pa] is what lays the pads on. T is
-    positive when it slows the wheels.
+    The gain K [Nm/Pa] combines pistons, pads, disc and friction. P0 [Pa] is the pressure at which
+    the pads touch the disc. T is positive if it slows the wheels.
     """
 
     inputs = MappingProxyType({"p": "Pa"})
@@ -87,13 +87,13 @@ class BrakeTorque(Model):
 
 @dataclass(frozen=True)
 class BrakeDeceleration(Model):
-    """Deceleration [m/s^2] of a braking car, -dvx/dt, positive when it slows down.
+    """Deceleration -dvx/dt [m/s^2] of a braking car, positive if it slows down.
 
         deceleration = c_p p + c_v vx^2 + c_0
 
-    c_p [m/s^2/Pa] times the mass is the brake force at the ground per pressure p [Pa]; c_v [1/m]
-    is drag; c_0 [m/s^2] is rolling resistance and engine drag, less what P0 takes. It holds with
-    the throttle closed, the pads on (p > P0) and on level ground.
+    c_p [m/s^2/Pa] times the mass is the brake force at the ground per pressure p [Pa]. c_v [1/m]
+    is the drag. c_0 [m/s^2] is rolling resistance and engine drag, minus the effect of P0. The
+    model is valid with closed throttle, touching pads (p > P0) and on level ground.
     """
 
     inputs = MappingProxyType({"p": "Pa", "vx": "m/s"})

@@ -23,10 +23,14 @@ class TorqueCubic(Expression):
 
         T = p0 + p1 w + p2 w^2 + p3 w^3,   w = omega / omega_max
 
-    The paper normalises the speed by the engine's largest, so that all parameters are torques in
-    Nm and of like size; `omega_max` [rad/s] is that speed and belongs to the parameters. Engine
-    braking is negative. A cubic has no room for a turbo that spools up: fit it over speeds and
-    throttles where the curve is smooth, and say over which (`TorqueCurve`).
+    The paper normalizes the speed by the largest engine speed, so all parameters are torques [Nm]
+    of similar size. Engine braking is negative. A cubic cannot represent a turbo that spools up:
+    fit it over speeds and throttles with a smooth curve, and store this range (`TorqueCurve`).
+
+    Parameters
+    ----------
+    omega_max : float, optional
+        Largest engine speed [rad/s], which the parameters refer to.
     """
 
     omega_max: float = 7000 * RPM
@@ -69,11 +73,23 @@ class TorqueCubic(Expression):
 
 @dataclass(frozen=True)
 class TorqueCurve:
-    """A learned cubic with what it is valid for: one throttle opening and an interval of speed.
+    """A learned cubic at one throttle opening, valid in an interval of engine speeds.
 
-    parameters: (p0, p1, p2, p3) [Nm] of `TorqueCubic` with this `omega_max` [rad/s]. throttle:
-    opening from 0 (closed) to 1. valid: lowest and highest engine speed [rad/s] of the data the
-    curve was learned from; a cubic runs away beyond them.
+    Parameters
+    ----------
+    parameters : tuple of float
+        (p0, p1, p2, p3) [Nm] of `TorqueCubic`.
+    omega_max : float
+        Engine speed of the normalization [rad/s].
+    throttle : float
+        Opening from 0 (closed) to 1.
+    valid : tuple of float
+        Lowest and highest engine speed [rad/s] of the data. A cubic diverges outside of them.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range.
     """
 
     parameters: tuple[float, float, float, float]
@@ -94,17 +110,16 @@ class TorqueCurve:
         TorqueCubic(self.omega_max)
 
     def torque(self, omega: Array) -> Array:
-        """Torque [Nm] at engine speeds [rad/s] of any shape.
+        """Return the torque [Nm] at engine speeds [rad/s] of any shape.
 
-        Raises ValueError for speeds outside the valid interval: what a cubic says there has no
-        data behind it, and silence would put it into a map.
+        Raises ValueError for speeds outside the valid interval, where no data support the cubic.
         """
         omega = np.asarray(omega, dtype=float)
         low, high = self.valid
         outside = ~((low <= omega) & (omega <= high))
         if outside.any():
             raise ValueError(
-                f"{np.count_nonzero(outside)} of {omega.size} engine speeds, such as "
+                f"{np.count_nonzero(outside)} of {omega.size} engine speeds, for example "
                 f"{omega[outside].flat[0]:.6g} rad/s, are outside the valid interval {low:.6g} to "
                 f"{high:.6g} rad/s of the curve at {100 * self.throttle:g} % throttle; clip them "
                 "or learn the curve from more speeds"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use, because importing them takes a second
 from numpy.typing import ArrayLike, NDArray
 
 from miho.models.engine import RPM, TorqueCurve
@@ -15,7 +15,7 @@ from miho.quantities import Array
 
 
 class Throttle(NamedTuple):
-    """An opening from 0 to 1, and by how much [Nm] it misses the demanded torque, >= 0."""
+    """An opening from 0 to 1, and the absolute difference to the demanded torque [Nm]."""
 
     opening: Array
     residual: Array
@@ -25,13 +25,26 @@ class Throttle(NamedTuple):
 class EngineMap:
     """Engine torque T_e = f(omega, tau) [Nm] over engine speed [rad/s] and throttle opening.
 
-    Bilinear between the rows (`openings`, (K,), from 0 to 1) and columns (`speeds` [rad/s], (M,))
-    of `table` [Nm] (K, M), and monotone in the throttle everywhere because it is in every column.
-    Row 0 is engine braking, negative. Speeds outside the table are held at its ends, as a
-    controller's table does.
+    The map is bilinear between the entries of the table, and constant beyond its lowest and highest
+    speed. Each column increases with the throttle, so the map is monotone in the throttle.
 
-    learned: weight (K, M) of the learned curves in each entry; 0 is dyno alone. correction: what
-    making the table monotone added to each entry [Nm], (K, M).
+    Parameters
+    ----------
+    openings : ndarray, shape (K,)
+        Throttle openings of the rows, from 0 to 1.
+    speeds : ndarray, shape (M,)
+        Engine speeds of the columns [rad/s].
+    table : ndarray, shape (K, M)
+        Torque [Nm]. Row 0 is engine braking, which is negative.
+    learned : ndarray, shape (K, M)
+        Weight of the learned curves in each entry; 0 for dyno data only.
+    correction : ndarray, shape (K, M)
+        Change of each entry [Nm] that made the table monotone.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are invalid, or if the torque falls with the throttle.
     """
 
     openings: Array
@@ -44,7 +57,7 @@ class EngineMap:
         for name in ("openings", "speeds", "table", "learned", "correction"):
             values = np.array(getattr(self, name), dtype=float)
             if not np.isfinite(values).all():
-                raise ValueError(f"{name} of the engine map holds numbers that are not finite")
+                raise ValueError(f"{name} of the engine map: expected finite numbers")
             values.flags.writeable = False
             object.__setattr__(self, name, values)
         for name in ("openings", "speeds"):
@@ -64,15 +77,30 @@ class EngineMap:
         if falls < 0:
             raise ValueError(
                 f"the torque falls by up to {-falls:.3g} Nm from one throttle row to the next; "
-                "expected a table that rises with the throttle, as from_points makes it"
+                "expected a table that rises with the throttle; use EngineMap.from_points"
             )
 
     @classmethod
     def from_points(cls, throttle: ArrayLike, omega: ArrayLike, torque: ArrayLike) -> EngineMap:
-        """A map from dyno points (N,): opening [0, 1], engine speed [rad/s], torque [Nm].
+        """Make a map from dyno points.
 
-        Every speed must have been measured at every opening; points at the same set point are
-        averaged. Leave out rows that are not to be trusted.
+        Points at the same set point are averaged, and columns are made monotone in the throttle.
+
+        Parameters
+        ----------
+        throttle, omega, torque : array_like, shape (N,)
+            Opening from 0 to 1, engine speed [rad/s] and torque [Nm] of each point. Each speed
+            must be measured at each opening. Leave out unreliable points.
+
+        Returns
+        -------
+        EngineMap
+            The map.
+
+        Raises
+        ------
+        ValueError
+            If a combination of speed and opening has no point.
         """
         points = [np.asarray(column, dtype=float) for column in (throttle, omega, torque)]
         rows, row = np.unique(points[0], return_inverse=True)
@@ -93,9 +121,9 @@ class EngineMap:
     def _monotone(
         cls, openings: Array, speeds: Array, table: Array, learned: Array, corrected: Array
     ) -> EngineMap:
-        """The map whose columns are the isotonic regressions of those of `table`.
+        """Return the map with the isotonic regression of each column of `table`.
 
-        `corrected` (K, M) is what had been added to the table before.
+        `corrected` (K, M) is the sum of earlier corrections.
         """
         risen = np.apply_along_axis(
             lambda column: scipy.optimize.isotonic_regression(column).x, 0, table
@@ -109,18 +137,35 @@ class EngineMap:
         fade: tuple[float, float] = (0.2, 0.4),
         reach: float = 1000 * RPM,
     ) -> EngineMap:
-        """This map with learned curves blended in, each a row at its throttle.
+        """Return this map blended with learned curves, each of which adds a row at its throttle.
 
             T = T_dyno + weight (T_learned - T_dyno)
 
-        In a curve's own row the weight is 1 up to the opening fade[0], where the dyno is weak, and
-        falls smoothly to 0 at fade[1], where it is strong. Dyno rows between two curves are, up to
-        fade[0], on the line between these over the throttle, with weight 1; above, and below the
-        lowest curve, they stay the dyno's.
+        In the row of a curve, the weight is 1 up to the opening fade[0], where the dyno is
+        imprecise, and falls smoothly to 0 at fade[1]. Dyno rows between two curves are interpolated
+        linearly between these curves up to fade[0]. Dyno rows above fade[0] and below the lowest
+        curve are unchanged. Outside the valid interval of a curve, the difference at its end is
+        used with a weight that falls smoothly to 0, so the map is continuous and no cubic is
+        extrapolated.
 
-        Outside a curve's valid interval the difference at its end is carried on with a weight that
-        falls smoothly to 0 over `reach` [rad/s], so that nothing jumps and no cubic is
-        extrapolated. Raises ValueError if two curves share a throttle.
+        Parameters
+        ----------
+        curves : sequence of TorqueCurve
+            Learned curves at different throttles.
+        fade : tuple of float, optional
+            Openings between which the weight falls from 1 to 0.
+        reach : float, optional
+            Range beyond a valid interval over which the weight falls to 0 [rad/s].
+
+        Returns
+        -------
+        EngineMap
+            The blended map, made monotone in the throttle.
+
+        Raises
+        ------
+        ValueError
+            If two curves have the same throttle, or if `fade` or `reach` is invalid.
         """
         curves = sorted(curves, key=lambda curve: curve.throttle)
         throttles = [curve.throttle for curve in curves]
@@ -140,7 +185,7 @@ class EngineMap:
         for curve, hat in zip(curves, np.eye(len(curves)), strict=True):
             clipped = np.clip(self.speeds, *curve.valid)
             difference = curve.torque(clipped) - self.torque(clipped, openings[:, None])
-            # 1 in the curve's own row, falling linearly to 0 in those of its neighbours
+            # 1 in the row of the curve, falling linearly to 0 in the rows of its neighbours
             near = share * np.interp(openings, throttles, hat, left=0, right=0)
             weight = np.outer(near, 1 - _smoothstep(np.abs(self.speeds - clipped) / reach))
             learned += weight
@@ -148,7 +193,7 @@ class EngineMap:
         return self._monotone(openings, self.speeds, table, learned, corrected)
 
     def torque(self, omega: ArrayLike, throttle: ArrayLike) -> Array:
-        """Torque [Nm] at engine speeds [rad/s] and openings, which broadcast.
+        """Return the torque [Nm] at engine speeds [rad/s] and openings, which broadcast.
 
         Raises ValueError for openings outside [0, 1].
         """
@@ -166,31 +211,32 @@ class EngineMap:
         return _interpolated(low, high, up)
 
     def limits(self, omega: ArrayLike) -> tuple[Array, Array]:
-        """Torque [Nm] at closed and at full throttle, at engine speeds [rad/s]."""
+        """Return the torques [Nm] at closed and full throttle, at engine speeds [rad/s]."""
         return self.torque(omega, 0.0), self.torque(omega, 1.0)
 
     def invertible(self, omega: ArrayLike, torque: ArrayLike) -> NDArray[np.bool_]:
-        """Whether some opening gives this torque [Nm] at this speed [rad/s]; they broadcast.
+        """Return whether an opening gives a torque [Nm] at a speed [rad/s]; arguments broadcast.
 
-        So it is from engine braking to full throttle. Beyond, `throttle` saturates.
+        This is the range from engine braking to full throttle, outside of which `throttle`
+        saturates.
         """
         low, high = self.limits(omega)
         torque = np.asarray(torque, dtype=float)
         return np.asarray((low <= torque) & (torque <= high))
 
     def throttle(self, omega: ArrayLike, torque: ArrayLike) -> Throttle:
-        """The smallest opening that gives the torque [Nm] at engine speeds [rad/s].
+        """Return the smallest opening that gives the torque [Nm] at engine speeds [rad/s].
 
-        Arguments broadcast. Where the torque cannot be given, the opening is the smallest that
-        comes nearest: 0 below engine braking, 1 above full throttle unless the map is flat there.
-        The residual is |T(omega, opening) - torque|. Where the map is nearly flat, above 80 %, a
-        small error of the torque is a large one of the opening.
+        Arguments broadcast. For a torque out of range, the result is the smallest opening with the
+        nearest torque: 0 below engine braking, and 1 above full throttle unless the map is flat
+        there. The residual is |T(omega, opening) - torque|. The map is nearly flat above 80 %
+        throttle, so a small error of the torque causes a large error of the opening.
         """
         omega, torque = np.broadcast_arrays(
             np.asarray(omega, dtype=float), np.asarray(torque, dtype=float)
         )
         if not np.isfinite(torque).all():
-            raise ValueError("torque holds numbers that are not finite; expected Nm")
+            raise ValueError("torque has numbers that are not finite; expected torques [Nm]")
         column, right = _cell(self.speeds, omega)
         rows = _interpolated(self.table[:, column], self.table[:, column + 1], right)
         target = np.clip(torque, rows[0], rows[-1])
@@ -204,7 +250,7 @@ class EngineMap:
 
 
 def _cell(axis: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Index of the cell of a rising axis that holds each point, and how far into it, 0 to 1."""
+    """Return the cell of a rising axis with each point, and the position in it from 0 to 1."""
     if not np.isfinite(at).all():
         raise ValueError("an engine speed or throttle is not finite; expected numbers")
     index = np.clip(np.searchsorted(axis, at, side="right") - 1, 0, axis.size - 2)
@@ -213,11 +259,11 @@ def _cell(axis: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def _interpolated(low: Array, high: Array, part: Array) -> Array:
-    """Linear from low (part 0) to high (part 1), exact at both ends and monotone in the ends."""
+    """Interpolate from low (part 0) to high (part 1), exact at both ends."""
     return np.asarray((1 - part) * low + part * high)
 
 
 def _smoothstep(x: ArrayLike) -> Array:
-    """0 up to 0, 1 from 1 on, with zero slope at both."""
+    """Return a smooth step: 0 for x <= 0 and 1 for x >= 1, with zero slope at both."""
     x = np.clip(x, 0, 1)
     return np.asarray(x * x * (3 - 2 * x))

@@ -1,4 +1,4 @@
-"""The lateral force of the full Magic Formula as a model whose coefficients can be identified."""
+"""Lateral force of the full Magic Formula as a model with identified coefficients."""
 
 from __future__ import annotations
 
@@ -42,14 +42,32 @@ INDISPENSABLE = ("PCY1", "PDY1", "PKY1", "PKY2")
 class LateralMagicFormula(Model):
     """Lateral force F_y [N] without longitudinal slip in MF 6.1 and 6.2 (4.E19-4.E30), ISO-W.
 
-    Inputs: slip angle alpha [rad], wheel load Fz [N], inclination gamma [rad] and, if one of its
-    coefficients PPY1 to PPY5 is identified, pressure [Pa], which is nominal otherwise; the angles
-    themselves enter, not alpha* and gamma*. `base` gives all that is not identified:
-    nominal load and pressure, ranges (inputs beyond them are evaluated at their edge), scaling
-    factors and the other coefficients. `identified` names the coefficients that are parameters;
-    by default all 27, which needs data over load, camber and pressure.
+    Inputs are the slip angle alpha [rad], wheel load Fz [N], inclination gamma [rad] and, if one
+    of the coefficients PPY1 to PPY5 is identified, the pressure [Pa]; otherwise the pressure is
+    nominal. The equations use the angles, not alpha* and gamma*.
 
-    PVY1 and PVY2 are linear. PVY3 and PVY4 are not: in MF 6 they shift the slip angle too (4.E27).
+    The model is linear in PVY1 and PVY2. It is nonlinear in PVY3 and PVY4, because in MF 6 they
+    also shift the slip angle (4.E27).
+
+    Parameters
+    ----------
+    base : MagicFormula
+        Tire of MF 6.1 or 6.2 with all other numbers: nominal load and pressure, ranges, scaling
+        factors and fixed coefficients. Inputs outside the ranges are evaluated at their ends.
+    identified : tuple of str, optional
+        Coefficients that are parameters. By default all 27, which needs data over load, camber
+        and pressure.
+    source : Path, optional
+        Property file of the base.
+
+    Raises
+    ------
+    ValueError
+        If the base has another version, or a coefficient is unknown or given twice.
+
+    References
+    ----------
+    Pacejka, Tire and Vehicle Dynamics, 3rd ed. (2012), Sec. 4.3.2.
     """
 
     base: MagicFormula
@@ -89,13 +107,13 @@ class LateralMagicFormula(Model):
 
     @property
     def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
-        """Load [N] and pressure [Pa] that the coefficients refer to."""
+        """Nominal load [N] and pressure [Pa] of the coefficients."""
         p = self.base.parameters
         references = {"Fz": ("FNOMIN", p.LFZO * p.FNOMIN), "pressure": ("NOMPRES", p.NOMPRES)}
         return {name: references[name] for name in self.inputs if name in references}
 
     def with_coefficients(self, theta: Array) -> MagicFormula:
-        """The base tire with the identified coefficients (d,); `write_tir` makes a file of it."""
+        """Return the base tire with identified coefficients (d,), for example for `write_tir`."""
         values = dict(zip(self.identified, np.asarray(theta, dtype=float).tolist(), strict=True))
         return replace(self.base, parameters=replace(self.base.parameters, **values))
 
@@ -108,13 +126,13 @@ class LateralMagicFormula(Model):
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the lateral force with respect to the identified coefficients, (N, d).
 
-        Where E is held at 1, the force does not depend on the coefficients of E.
+        If E is limited to 1, the derivatives by the coefficients of E are 0.
         """
         c = self._conditions(*inputs)
         p = self._coefficients(theta)
         y = self.base.pure_lateral(c, c.gamma, p)
 
-        # The chain rule: first the force with respect to C, D, E ...
+        # Chain rule: derivatives of the force with respect to C, D, E, ...
         # Fy = D sin(C arctan(w)) + SV with w = z - E (z - arctan(z)) and z = K alpha_y / (C D)
         CD = y.C * y.D + self.base.epsilon
         z = y.B * y.alpha_y
@@ -137,7 +155,7 @@ class LateralMagicFormula(Model):
             "SV": np.ones_like(z),
             "SV_gamma": 1 - by_SH / y.K_prime,
         }
-        # ... and these with respect to the coefficients, of which each is in one of them.
+        # ... times their derivatives with respect to the coefficients.
         J = np.empty((c.Fz.size, len(self.identified)))
         for quantity, inner in self._derivatives(c, p, np.sign(y.alpha_y)).items():
             for name in inner.keys() & set(self.identified):
@@ -147,14 +165,14 @@ class LateralMagicFormula(Model):
     def _derivatives(
         self, c: Conditions, p: SimpleNamespace, side: Array
     ) -> dict[str, dict[str, Array | float]]:
-        """Derivatives of C, D, E, K ... with respect to the coefficients that each is made of.
+        """Return the derivatives of C, D, E, K, ... with respect to their coefficients.
 
         `side` is the sign of the slip angle alpha_y.
         """
         dfz, dpi, size, square = c.dfz, c.dpi, np.abs(c.gamma), c.gamma**2
         nominal = p.LFZO * p.FNOMIN
 
-        # Factors of each quantity, so that a coefficient's derivative is a product of the others.
+        # Factors of each quantity; the derivative by a coefficient is a product of other factors.
 
         mu, inflated = p.PDY1 + p.PDY2 * dfz, 1 + p.PPY3 * dpi + p.PPY4 * dpi**2  # 4.E23
         grip = c.Fz * c.mu_y
@@ -208,24 +226,40 @@ class LateralMagicFormula(Model):
         }
 
     def _conditions(self, *inputs: Array) -> Conditions:
-        """The conditions without longitudinal slip, at nominal pressure if it is no input."""
+        """Return the conditions without longitudinal slip; the default pressure is nominal."""
         alpha, Fz, gamma, *pressures = inputs
         pressure = pressures[0] if pressures else np.full_like(alpha, self.base.parameters.NOMPRES)
         speed = np.full_like(alpha, self.base.parameters.LONGVL)
         return self.base.conditions(Fz, np.zeros_like(alpha), alpha, gamma, speed, pressure)
 
     def _coefficients(self, values: Array) -> SimpleNamespace:
-        """All parameters, the identified ones from values (d, ...)."""
+        """Return all parameters, with values (d, ...) of the identified ones."""
         identified = dict(zip(self.identified, values, strict=True))
         return SimpleNamespace(**(vars(self.base.parameters) | identified))
 
 
 def mf61_lateral(base: str | Mapping[str, float], identified: Sequence[str] | None = None) -> Model:
-    """The model over a base given by the path of a .tir file, or by its numbers in SI units.
+    """Make a `LateralMagicFormula` from a .tir file or from numbers.
 
-    Numbers go by their names in the file and must include FNOMIN, NOMPRES, UNLOADED_RADIUS and
-    LONGVL; coefficients left out are terms that are absent (0, and 2 for PKY4), so that the tire
-    has neither a longitudinal force nor an aligning moment. identified: all 27 if None.
+    Parameters
+    ----------
+    base : str or Mapping[str, float]
+        Path of a .tir file of MF 6.1 or 6.2; or numbers in SI units, by their names in property
+        files. Numbers must include FNOMIN, NOMPRES, UNLOADED_RADIUS and LONGVL. Missing
+        coefficients remove their terms (0; 1 for PKY2 and 2 for PKY4), so the tire has no
+        longitudinal force and no aligning moment.
+    identified : sequence of str, optional
+        Coefficients that are parameters, by default all 27.
+
+    Returns
+    -------
+    Model
+        A `LateralMagicFormula`.
+
+    Raises
+    ------
+    ValueError
+        If a number is missing, unknown or invalid.
     """
     names = tuple(COEFFICIENTS) if identified is None else tuple(identified)
     if isinstance(base, str):

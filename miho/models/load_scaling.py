@@ -1,7 +1,7 @@
-"""A tire's curve at another load than the one it was identified at, by the similarity method.
+"""Transfer of a tire's curve to another load, by the similarity method.
 
-Pacejka (Tire and Vehicle Dynamics, 2012, Sec. 4.2) takes a curve F_y0 at the load F_z0 to another
-load by stretching it along both axes, so that its peak and its slope are right:
+Pacejka (Tire and Vehicle Dynamics, 2012, Sec. 4.2) transfers a curve F_y0 at the load F_z0 to
+another load. The curve is stretched along both axes, so that peak and slope are correct:
 
     F_y(alpha) - x Sy = s_D (F_y0(alpha_0) - Sy),   alpha_0 - Sx = (s_K / s_D) (alpha - Sx)
 
@@ -23,59 +23,65 @@ from miho.quantities import Array
 
 
 class LoadSensitivity(NamedTuple):
-    """How far a tire's force falls behind its load: d ln(s / x) / d ln(x) at x = 1 [-].
+    """Degressive dependence of a tire's force on its load: d ln(s / x) / d ln(x) at x = 1 [-].
 
-    peak: q_D, of the largest force. stiffness: q_K, of the cornering stiffness. Both are about
-    -0.1 to -0.4 for racing tires, and 0 for forces in proportion to the load. Numbers, or arrays
-    of one number per tire.
+    Both numbers are about -0.1 to -0.4 for racing tires, and 0 if forces are proportional to the
+    load.
+
+    Attributes
+    ----------
+    peak : float or ndarray
+        q_D of the largest force, one number or one per tire.
+    stiffness : float or ndarray
+        q_K of the cornering stiffness.
     """
 
     peak: float | Array
     stiffness: float | Array
 
     def at_load(self, ratio: ArrayLike) -> LoadSensitivity:
-        """The sensitivity of the same tire at `ratio` times the load: both laws keep their form."""
+        """Return the sensitivity of the tire at `ratio` times the load."""
         x = np.asarray(ratio, dtype=float)
         peak, stiffness = growth(x, self)
         return LoadSensitivity(self.peak * x * x / peak, self.stiffness * x * stiffness)
 
 
 PROPORTIONAL = LoadSensitivity(0.0, 0.0)
-"""Of forces in proportion to the load."""
+"""Sensitivity of forces that are proportional to the load."""
 
 
 def growth(ratio: ArrayLike, sensitivity: LoadSensitivity) -> tuple[Array, Array]:
-    """s_D and s_K: the factors of peak and stiffness at `ratio` times the load [-].
+    """Return s_D and s_K, the factors of peak and stiffness at `ratio` times the load [-].
 
-    Raises ValueError for a ratio that is negative, or so large that q_D leaves no friction.
+    Raises ValueError if the ratio is negative, or so large that no friction is left by q_D.
     """
     x, q_D = np.asarray(ratio, dtype=float), np.asarray(sensitivity.peak, dtype=float)
     friction = 1 + q_D * (x - 1)
     if not ((x >= 0) & (friction > 0) & np.isfinite(x)).all():
         raise ValueError(
             f"ratio of the loads is from {np.min(x):g} to {np.max(x):g} with a sensitivity of the "
-            f"peak of {np.min(q_D):g}; expected 0 or more, and loads that leave some friction"
+            f"peak of {np.min(q_D):g}; expected 0 or more, and friction above 0 at these loads"
         )
     stiffness = x / (1 - np.asarray(sensitivity.stiffness) * (x * x - 1) / 2)
     return np.asarray(x * friction), np.asarray(stiffness)
 
 
 def at_load(theta: ArrayLike, ratio: ArrayLike, sensitivity: LoadSensitivity) -> Array:
-    """Parameters of a tire's curve at another load.
+    """Return the parameters of a tire's curve at another load.
 
     Parameters
     ----------
     theta : array_like, shape (..., 5) or (..., 6)
         Parameters of `Pacejka` or `PacejkaCurvature`.
     ratio : array_like, shape (...)
-        Load over the load at which theta was identified [-], at least 0; broadcasts with theta.
+        Load divided by the load of theta [-], at least 0; broadcasts with theta.
     sensitivity : LoadSensitivity
-        Of the tire at the load at which theta was identified.
+        Load sensitivity of the tire at the load of theta.
 
     Returns
     -------
     ndarray, shape (..., 5) or (..., 6)
-        Parameters with D, B and Sy changed; C, E and Sx stay.
+        Parameters with new D, B and Sy; C, E and Sx are unchanged.
 
     Raises
     ------
@@ -101,10 +107,10 @@ def at_load(theta: ArrayLike, ratio: ArrayLike, sensitivity: LoadSensitivity) ->
 def load_sensitivity(
     theta: ArrayLike, alpha: ArrayLike, Fz: ArrayLike, Fy: ArrayLike, load: float
 ) -> LoadSensitivity:
-    """The load sensitivity of a tire, from the rows that its curve was identified from.
+    """Estimate the load sensitivity of a tire from the data of its curve.
 
-    The two numbers are the least-squares solution of the law's first order in the load: they say
-    how what the curve leaves over varies with the load.
+    The two numbers are the least-squares solution of the similarity method to first order in the
+    load. They describe the dependence of the residuals on the load.
 
     Parameters
     ----------
@@ -113,17 +119,17 @@ def load_sensitivity(
     alpha, Fz, Fy : array_like, shape (n,)
         Slip angles [rad], wheel loads [N] and lateral forces [N] of the rows, ISO-W.
     load : float
-        Load at which theta is taken to hold [N], the middle of those of the rows.
+        Load of theta [N], usually the middle of the loads of the rows.
 
     Returns
     -------
     LoadSensitivity
-        Of two numbers, at this load.
+        Sensitivity at this load, as two numbers.
 
     Raises
     ------
     ValueError
-        If the loads are all the same, so that they tell nothing.
+        If all loads are equal.
     """
     model, values = curve_model(theta), np.asarray(theta, dtype=float)
     slip, off = np.asarray(alpha, dtype=float), np.asarray(Fz, dtype=float) / load - 1

@@ -1,19 +1,19 @@
 """Steady-state tire forces by the Magic Formula, versions 5.2, 6.1 and 6.2.
 
 Equation numbers (4.E1-4.E78) are those of Pacejka, Tire and Vehicle Dynamics, 3rd ed., Ch. 4.3.2;
-turn slip is left out (all zeta = 1). MF 5.2 is written as MF 6.1 with the terms it lacks removed
-and differs at the further places marked below. MF 6.2 has the forces of MF 6.1.
+turn slip is not included (all zeta = 1). MF 5.2 is implemented as MF 6.1 without its additional
+terms, with further differences marked below. MF 6.2 has the forces of MF 6.1.
 
-Implementations agree on Fx and Fy. In Mz this one follows the book where the reference values of
-the tests (MFeval 4.0) do not; with these choices of the reference the published equations give its
-moments to 1e-9 of the largest (tests/models/test_magic_formula.py):
+Implementations agree on Fx and Fy. For Mz, this module follows the book in three cases in which the
+reference values of the tests (MFeval 4.0) differ. With the choices of the reference, the published
+equations give its moments to 1e-9 of the largest (tests/models/test_magic_formula.py):
 
-    MF 5.2    the force at the trail is F_y - S_Vyk: the book's S_Vyk is that of F_y, whose
-              friction falls with camber; the reference takes it with the friction at no camber
-    alpha*    B_t and D_t (4.E40, 4.E43) and the arm s (4.E76) have gamma* in the book and the
-              camber itself in the reference; cos' alpha of the residual moment (4.E47) is V_x / V
-              in the book, and taken of alpha* as if it were an angle in the reference
-    LFZO      not 1: the reference takes the trail LFZO times, and F_y / FNOMIN in s
+    MF 5.2    the force at the trail is F_y - S_Vyk. In the book, S_Vyk has the friction of F_y,
+              which falls with camber; the reference uses the friction without camber
+    alpha*    B_t and D_t (4.E40, 4.E43) and the arm s (4.E76) use gamma* in the book, and the
+              camber in the reference; cos' alpha of the residual moment (4.E47) is V_x / V in the
+              book, and the cosine of alpha* in the reference
+    LFZO      if not 1, the reference multiplies the trail by LFZO, and uses F_y / FNOMIN in s
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ class TireForces(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """Inputs after the range limits, with the quantities every equation shares."""
+    """Inputs after the range limits, with quantities that all equations share."""
 
     Fz: Array
     kappa: Array
     alpha: Array  # alpha or alpha*
     gamma: Array  # gamma or gamma*
-    inclination: Array  # gamma itself in both modes, which the friction of Fx takes (4.E13)
+    inclination: Array  # gamma in both modes, for the friction of Fx (4.E13)
     Vx: Array
     dfz: Array
     dpi: Array
     cosine: Array  # cos' alpha
     mu_x: Array  # lambda*_mu_x
     mu_y: Array  # lambda*_mu_y
-    loaded: Array  # share of the force that is left below the smallest load
+    loaded: Array  # factor of the forces below the smallest load
 
 
 class _Longitudinal(NamedTuple):
@@ -59,7 +59,7 @@ class _Longitudinal(NamedTuple):
 
 
 class PureLateral(NamedTuple):
-    """Lateral force without longitudinal slip, and what it is made of (4.E19-4.E30)."""
+    """Lateral force without longitudinal slip, and its factors (4.E19-4.E30)."""
 
     Fy: Array
     alpha_y: Array
@@ -81,14 +81,25 @@ class _Lateral(NamedTuple):
 
 @dataclass(frozen=True)
 class MagicFormula:
-    """A tire: its parameters and the choices the literature leaves open.
+    """A tire: its parameters, and options that the literature leaves open.
 
-    `clamp_curvature` keeps every E at or below 1, as the book asks (4.E14); without it the curve
-    can turn back on itself. `clamp_inputs` evaluates inputs beyond the file's ranges at the range's
-    edge. `fade_at_standstill` lets the vertical shift of Fx in MF 6 vanish at standstill, by the
-    factor |Vx| / (epsilon + |Vx|) of 4.E18, for simulations that stop; from 1 m/s on it is 1 to
-    six digits. `epsilon` keeps denominators from zero. `A_mu` shapes how the vertical shifts fade
-    on slippery ground (4.E8): the book suggests 10, MF-Tyre and the default 1 switch it off.
+    Parameters
+    ----------
+    parameters : MagicFormulaParameters
+        Coefficients, ranges and scaling factors.
+    clamp_curvature : bool, optional
+        Limit each E to at most 1, as the book requires (4.E14); larger values give curves with
+        reversed slopes.
+    clamp_inputs : bool, optional
+        Evaluate inputs outside the ranges of the parameters at the ends of the ranges.
+    fade_at_standstill : bool, optional
+        Multiply the vertical shift of Fx in MF 6 by |Vx| / (epsilon + |Vx|) (4.E18), for
+        simulations that stop. The factor is 1 to six digits above 1 m/s.
+    epsilon : float, optional
+        Small number that keeps denominators different from 0.
+    A_mu : float, optional
+        Fading of the vertical shifts on slippery ground (4.E8). The book suggests 10; 1 disables
+        the fading, as in MF-Tyre.
     """
 
     parameters: MagicFormulaParameters
@@ -108,21 +119,36 @@ class MagicFormula:
         pressure: ArrayLike | None = None,
         alpha_star: bool = False,
     ) -> TireForces:
-        """Forces for inputs that broadcast together; every result has the broadcast shape.
+        """Return the forces for inputs that broadcast together.
 
-        ISO-W: x forward, y left, z up, so a positive slip angle gives a negative lateral force,
-        a positive slip ratio drives, a positive inclination leans the wheel's top to the right.
+        In ISO-W axes (x forward, y left, z up), a positive slip angle gives a negative lateral
+        force, a positive slip ratio drives, and a positive inclination leans the top of the wheel
+        to the right. The tire is used as its file describes it, and is never mirrored.
 
-        Fz: wheel load [N]. Below the range's FZMIN the forces fall in proportion to the load,
-            and a lifted wheel (Fz <= 0) has none.
-        kappa: slip ratio [1], -1 at a locked wheel. alpha: slip angle [rad].
-        gamma: inclination (camber) [rad]. Vx: wheel-centre speed [m/s], not 0; the file's LONGVL
-            if None. pressure: inflation pressure [Pa], nominal if None; MF 5.2 ignores it.
-        alpha_star: True uses the book's alpha* = tan(alpha) sgn(Vx) and gamma* = sin(gamma) (4.E3,
-            4.E4), but gamma itself in the friction of Fx (4.E13); False uses the angles themselves,
-            as MF-Tyre does.
+        Parameters
+        ----------
+        Fz : array_like
+            Wheel load [N]. Below FZMIN, forces fall in proportion to the load; a lifted wheel
+            (Fz <= 0) has no force.
+        kappa : array_like
+            Slip ratio [1], -1 for a locked wheel.
+        alpha : array_like
+            Slip angle [rad].
+        gamma : array_like, optional
+            Inclination (camber) [rad].
+        Vx : array_like, optional
+            Speed of the wheel centre [m/s], not 0; by default LONGVL.
+        pressure : array_like, optional
+            Inflation pressure [Pa]; by default NOMPRES. MF 5.2 ignores it.
+        alpha_star : bool, optional
+            If true, use alpha* = tan(alpha) sgn(Vx) and gamma* = sin(gamma) of the book (4.E3,
+            4.E4), but gamma in the friction of Fx (4.E13). By default, use the angles, as MF-Tyre
+            does.
 
-        A NaN input gives NaN. The tire is used as its file describes it: never mirrored.
+        Returns
+        -------
+        TireForces
+            Forces [N] and moment [Nm] of the broadcast shape; NaN for NaN inputs.
         """
         p = self.parameters
         inputs = np.broadcast_arrays(
@@ -142,7 +168,7 @@ class MagicFormula:
         return TireForces(*map(np.asarray, self.forces_at(c)))
 
     def forces_at(self, c: Conditions) -> TireForces:
-        """Forces at conditions, which may be symbols (`miho.models.symbolic`)."""
+        """Return the forces at conditions, which may be symbols (`miho.models.symbolic`)."""
         x = self._longitudinal(c)
         y = self._lateral(c, c.gamma * self.parameters.LGAY)
         Mz = self._aligning_moment(c, x, y)
@@ -159,7 +185,7 @@ class MagicFormula:
         *,
         alpha_star: bool = False,
     ) -> Conditions:
-        """What the equations read, from inputs of one shape; arguments as in `forces`."""
+        """Return the conditions for inputs of one shape; arguments as in `forces`."""
         p = self.parameters
         load = Fz = np.maximum(Fz, 0.0)
         if self.clamp_inputs:
@@ -212,10 +238,10 @@ class MagicFormula:
         return _Longitudinal(Fx=G * Fx0, K=K)  # 4.E50
 
     def pure_lateral(self, c: Conditions, gamma: Array, p: Any) -> PureLateral:
-        """Lateral force without longitudinal slip, before the share `c.loaded`.
+        """Return the lateral force without longitudinal slip and without the factor `c.loaded`.
 
-        p: anything with the names of `MagicFormulaParameters`; coefficients may be columns (n, 1)
-        that broadcast with the conditions.
+        p: object with the attributes of `MagicFormulaParameters`; coefficients may be columns
+        (n, 1) that broadcast with the conditions.
         """
         e, dfz, dpi = self.epsilon, c.dfz, c.dpi
         mu = (p.PDY1 + p.PDY2 * dfz) * (1 + p.PPY3 * dpi + p.PPY4 * dpi**2)
@@ -276,16 +302,16 @@ class MagicFormula:
         D_r = (p.QDZ6 + p.QDZ7 * dfz) * p.LRES + camber * gamma * p.LKZC
         D_r = c.Fz * radius * D_r * c.mu_y * forward * c.cosine  # 4.E47
 
-        # QBZ4 and QDZ3 take the camber with its sign, as MF-Tyre does; the book takes |gamma|.
-        # The book adds the longitudinal slip to the angles (4.E77-4.E78), MF-Tyre to their
-        # tangents; the reference values follow MF-Tyre.
+        # QBZ4 and QDZ3 use the signed camber, as in MF-Tyre; the book uses |gamma|.
+        # The book adds the longitudinal slip to the angles (4.E77-4.E78). MF-Tyre and the
+        # reference values add it to their tangents.
         slip = x.K / y.pure.K_prime * c.kappa
         alpha_t = np.arctan(np.hypot(np.tan(alpha_t), slip)) * np.sign(alpha_t)
         alpha_r = np.arctan(np.hypot(np.tan(alpha_r), slip)) * np.sign(alpha_r)
         trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
         residual = D_r * np.cos(np.arctan(B_r * alpha_r))  # 4.E75
-        # MF 5.2 lets the cambered force act at the trail, MF 6 the one without camber (4.E74).
-        # Longitudinal slip reduces that force at the actual camber, as in the reference values.
+        # The force at the trail is the cambered one in MF 5.2, and the one without camber in MF 6
+        # (4.E74). Longitudinal slip reduces it at the actual camber, as in the reference values.
         pure = y.pure if p.version == "5.2" else self.pure_lateral(c, 0.0 * gamma, p)
         arm = p.SSZ1 + p.SSZ2 * y.Fy / nominal + (p.SSZ3 + p.SSZ4 * dfz) * gamma
         return -trail * y.G * pure.Fy + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76
@@ -299,11 +325,11 @@ class MagicFormula:
 
 
 def _argument(slip: Array, B: Array, E: Array) -> Array:
-    """What the Magic Formula takes the arctangent of: B x - E (B x - arctan(B x))."""
+    """Return the argument of the arctangent in the Magic Formula, B x - E (B x - arctan(B x))."""
     return B * slip - E * (B * slip - np.arctan(B * slip))
 
 
 def _weight(slip: Array, shift: Any, B: Array, C: float, E: Array) -> Any:
-    """Loss of one force to slip in the other direction, 1 where that slip is 0."""
+    """Return the weight of one force by slip in the other direction, 1 without this slip."""
     at_zero = np.cos(C * np.arctan(_argument(shift, B, E)))
     return np.cos(C * np.arctan(_argument(slip + shift, B, E))) / at_zero

@@ -1,4 +1,4 @@
-"""The numbers a Magic Formula tire is made of, under the names property files give them."""
+"""Parameters of a Magic Formula tire, with their names in property files."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Literal
 
 Version = Literal["5.2", "6.1", "6.2"]
 
-# MF 5.2 is MF 6.1 with these terms absent (and the camber shift PHY3, see Eq. 4.E27), so its files
-# do not contain them: no pressure, no camber stiffness of its own, the 2 in sin(2 arctan(...)).
+# MF 5.2 is MF 6.1 without these terms (and with the camber shift PHY3, see Eq. 4.E27): no pressure,
+# no separate camber stiffness, and the constant 2 in sin(2 arctan(...)).
 _ABSENT_IN_52 = """
     PPX1 PPX2 PPX3 PPX4 RBX3 PEY5 PKY5 PKY6 PKY7 PPY1 PPY2 PPY3 PPY4 PPY5 RBY4
     QDZ10 QDZ11 PPZ1 PPZ2 LMUV
@@ -32,11 +32,11 @@ CONSTANTS = MappingProxyType(
         "6.2": MappingProxyType(_CONSTANT_IN_6),
     }
 )
-"""Per version, the terms its equations do not have, with the value that removes them."""
+"""For each version, the terms that are absent, with values that remove them."""
 
 
 class InvalidParameterError(ValueError):
-    """A parameter no tire can have; `key` is its name."""
+    """Error for an impossible value of a parameter; `key` is its name."""
 
     def __init__(self, key: str, problem: str) -> None:
         super().__init__(key, problem)
@@ -49,12 +49,12 @@ class InvalidParameterError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class MagicFormulaParameters:
-    """Everything the force equations read, in SI units; Pacejka 3rd ed., Ch. 4.3 and App. 3.
+    """All numbers of the force equations, in SI units (Pacejka, 3rd ed., Ch. 4.3 and App. 3).
 
-    Coefficients (P, Q, R, S) have no default: a missing one is an error. Scaling factors (L) are
-    1 unless given (LMUV 0), as the book's list of them says, and a range that is not given does
-    not limit. Coefficients are dimensionless or refer to radians, whatever the unit of angle in
-    the file that brought them. Raises `InvalidParameterError` for a value no tire can have.
+    Coefficients (P, Q, R, S) have no default. Scaling factors (L) default to 1 (LMUV to 0), as
+    listed in the book, and ranges default to infinity. Coefficients are dimensionless or refer to
+    radians, independent of the angle unit of a file. Raises `InvalidParameterError` for impossible
+    values.
     """
 
     version: Version
@@ -227,7 +227,7 @@ class MagicFormulaParameters:
 
 
 def parameter_names(version: Version) -> frozenset[str]:
-    """Names the equations of this version read from a file."""
+    """Return the names of the parameters in the equations of a version."""
     return frozenset(f.name for f in fields(MagicFormulaParameters)) - {
         "version",
         *CONSTANTS[version],
@@ -235,6 +235,6 @@ def parameter_names(version: Version) -> frozenset[str]:
 
 
 def required_names(version: Version) -> frozenset[str]:
-    """Names a file of this version must contain: those without a documented default."""
+    """Return the names that a file of a version must contain: parameters without a default."""
     defaults = {f.name for f in fields(MagicFormulaParameters) if f.default is not MISSING}
     return parameter_names(version) - defaults

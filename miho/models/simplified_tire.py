@@ -1,8 +1,8 @@
-"""A full tire as one simple curve per load, camber and pressure, and back.
+"""Conversion between a full tire and simple curves for each load, camber and pressure.
 
-At fixed conditions the lateral force of the Magic Formula is the curve of `PacejkaCurvature`, but
-for one thing: its E differs between the two sides of the curve (PEY3, PEY4; 4.E24). The simple
-curve takes the mean of the two; `asymmetry` keeps the rest, and `residual` says what it is worth.
+At fixed conditions, the lateral force of the Magic Formula is the curve of `PacejkaCurvature`, with
+one exception: E differs between the two sides of the curve (PEY3, PEY4; 4.E24). The simple curve
+uses the mean of both values. `asymmetry` is the deviation, and `residual` is its effect.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages at first use, because importing them takes a second
 from numpy.typing import ArrayLike
 
 from miho.models.lateral_magic_formula import COEFFICIENTS, LateralMagicFormula
@@ -23,12 +23,18 @@ SLIP = np.linspace(-0.3, 0.3, 61)
 
 
 class SimplifiedTire(NamedTuple):
-    """A table with a row per condition; every column (rows,).
+    """Table of simple curves with one row per condition.
 
-    Fz: wheel load [N]. gamma: inclination [rad]. pressure: inflation pressure [Pa]. B [1/rad],
-    C [-], D [N], E [-], Sx [rad], Sy [N]: parameters of `PacejkaCurvature`, ISO-W.
-    asymmetry: the tire's E is E + asymmetry where alpha > Sx and E - asymmetry where alpha < Sx.
-    residual: largest difference [N] between simple curve and tire for |alpha| up to 0.3 rad.
+    Attributes
+    ----------
+    Fz, gamma, pressure : ndarray, shape (rows,)
+        Wheel load [N], inclination [rad] and inflation pressure [Pa].
+    B, C, D, E, Sx, Sy : ndarray, shape (rows,)
+        Parameters of `PacejkaCurvature` [1/rad, -, N, -, rad, N], ISO-W.
+    asymmetry : ndarray, shape (rows,)
+        The tire has E + asymmetry for alpha > Sx, and E - asymmetry for alpha < Sx [-].
+    residual : ndarray, shape (rows,)
+        Largest difference between simple curve and tire for |alpha| up to 0.3 rad [N].
     """
 
     Fz: Array
@@ -44,9 +50,9 @@ class SimplifiedTire(NamedTuple):
     residual: Array
 
     def force(self, alpha: ArrayLike, two_sided: bool = False) -> Array:
-        """Lateral force [N] at slip angles [rad] (N,), (rows, N).
+        """Return the lateral force [N], (rows, N), at slip angles [rad], (N,).
 
-        `two_sided` gives each side its own E, as the tire has it.
+        With `two_sided`, the two sides of the curve have different E, as in the tire.
         """
         slip = np.asarray(alpha, dtype=float)
         model = PacejkaCurvature()
@@ -66,11 +72,31 @@ def simplify(
     gamma: ArrayLike = 0.0,
     pressure: ArrayLike | None = None,
 ) -> SimplifiedTire:
-    """The simple curves of a tire at every combination of loads, cambers and pressures.
+    """Return the simple curves of a tire at all combinations of loads, cambers and pressures.
 
-    Fz: wheel loads above 0 [N]. gamma: inclinations [rad]. pressure: [Pa], nominal if None. The
-    parameters are those of the equations (4.E20-4.E29), not fitted, at the speed LONGVL; inputs
-    beyond the tire's ranges are evaluated at their edge.
+    The parameters follow from the equations (4.E20-4.E29) at the speed LONGVL, without a fit.
+    Inputs outside the ranges of the tire are evaluated at the ends of the ranges.
+
+    Parameters
+    ----------
+    tire : MagicFormula
+        The full tire.
+    Fz : array_like
+        Wheel loads [N], above 0.
+    gamma : array_like, optional
+        Inclinations [rad].
+    pressure : array_like, optional
+        Inflation pressures [Pa], by default nominal.
+
+    Returns
+    -------
+    SimplifiedTire
+        Table with one row per combination.
+
+    Raises
+    ------
+    ValueError
+        If a load is not positive and finite.
     """
     p = tire.parameters
     axes = (Fz, gamma, p.NOMPRES if pressure is None else pressure)
@@ -107,15 +133,33 @@ def simplify(
 
 
 def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
-    """The tire of MF 6.1 whose lateral forces come closest to the curves of a table.
+    """Fit the lateral coefficients of a full tire to a table of simple curves.
 
-    Its lateral coefficients are found by least squares from the table alone; all else is that of
-    `base`, a tire of MF 6.1 or 6.2, such as its nominal load and pressure. A coefficient on which
-    the table has no bearing (of camber without camber, of pressure at one pressure) becomes 0.
-    `write_tir` makes a file of the result. Raises ValueError for a table without a finite curve.
+    Coefficients are the least-squares solution for the table. Coefficients that the table does not
+    determine become 0, for example camber terms without camber.
+
+    Parameters
+    ----------
+    table : SimplifiedTire
+        The simple curves.
+    base : MagicFormula
+        Tire of MF 6.1 or 6.2 with all other numbers, for example nominal load and pressure.
+
+    Returns
+    -------
+    MagicFormula
+        The fitted tire; `write_tir` writes it to a file.
+
+    Raises
+    ------
+    ValueError
+        If the table has no rows or has numbers that are not finite.
     """
     if not table.Fz.size or not all(np.isfinite(column).all() for column in table[:-1]):
-        raise ValueError("the table has no rows or numbers that are not finite; leave those out")
+        raise ValueError(
+            "the table is empty or has numbers that are not finite; expected at least one row of "
+            "finite numbers"
+        )
     model = LateralMagicFormula(base)
     slip = _slip(base)
     target = table.force(slip, two_sided=True)
@@ -123,7 +167,7 @@ def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
         np.tile(slip, table.Fz.size),
         *(np.repeat(column, slip.size) for column in (table.Fz, table.gamma, table.pressure)),
     )
-    # Each curve counts the same, whatever its load.
+    # All curves have equal weight, independent of the load.
     weight = np.repeat(1 / np.abs(target).max(axis=1), slip.size)
 
     def misfit(theta: Array) -> Array:
@@ -136,7 +180,7 @@ def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
         misfit,
         _start(table, base),
         jac=slopes,
-        method="lm",  # takes no step in coefficients on which nothing depends
+        method="lm",  # leaves undetermined coefficients at 0
         x_scale="jac",
         xtol=1e-14,
         ftol=1e-14,
@@ -146,13 +190,13 @@ def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
 
 
 def _slip(tire: MagicFormula) -> Array:
-    """Slip angles within the tire's range, if it has one."""
+    """Return slip angles within the range of the tire."""
     p = tire.parameters
     return np.clip(SLIP, p.ALPMIN, p.ALPMAX) if tire.clamp_inputs else SLIP
 
 
 def _start(table: SimplifiedTire, base: MagicFormula) -> Array:
-    """Coefficients that give the table's mean curve; all variation is left to the solver."""
+    """Return coefficients of the mean curve of the table, as a start of the solver."""
     stiffness = table.B * table.C * table.D
     ratio = np.mean(table.Fz) / base.parameters.FNOMIN
     start = dict.fromkeys(COEFFICIENTS, 0.0) | {

@@ -21,18 +21,29 @@ class FrontRear(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SingleTrack:
-    """A car whose wheels of an axle act as one, in ISO-W signs.
+    """Single-track model of a car, with the wheels of each axle combined, in ISO-W signs.
 
         alpha_f = atan2(v_y + l_f r, v_x) - delta        m a_y = F_yf cos(delta) + F_yr
         alpha_r = atan2(v_y - l_r r, v_x)               I_zz r' = l_f F_yf cos(delta) - l_r F_yr
 
-    x points forward, y to the left, z up; v_x, v_y [m/s] and a_y [m/s^2] are of the centre of
-    gravity, the yaw rate r [rad/s] and the steering angle delta of the road wheels [rad] are
-    positive to the left. In a left turn the slip angles are negative and the forces positive.
-    The driving force of the front wheels, their aligning torque and camber thrust are left out.
+    x points forward, y to the left, z up. v_x, v_y [m/s] and a_y [m/s^2] refer to the centre of
+    gravity. The yaw rate r [rad/s] and the steering angle delta of the road wheels [rad] are
+    positive to the left. In a left turn, slip angles are negative and forces positive. The model
+    neglects the driving force of the front wheels, their aligning torque and camber thrust.
 
-    mass: m [kg]. lf, lr: from the centre of gravity to the front and rear axle [m]. Izz: yaw
-    inertia [kg m^2].
+    Parameters
+    ----------
+    mass : float
+        m [kg].
+    lf, lr : float
+        Distance from the centre of gravity to the front and rear axle [m].
+    Izz : float
+        Yaw inertia [kg m^2].
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not positive.
     """
 
     mass: float
@@ -46,7 +57,7 @@ class SingleTrack:
     def slip_angles(
         self, vx: ArrayLike, vy: ArrayLike, yaw_rate: ArrayLike, steering: ArrayLike
     ) -> FrontRear:
-        """Slip angles [rad] of the axles; driving forward, vx > 0."""
+        """Return the slip angles [rad] of the axles, for forward driving (vx > 0)."""
         vx, vy, yaw_rate = np.asarray(vx), np.asarray(vy), np.asarray(yaw_rate)
         front = np.arctan2(vy + self.lf * yaw_rate, vx) - np.asarray(steering)
         return FrontRear(front, np.asarray(np.arctan2(vy - self.lr * yaw_rate, vx)))
@@ -58,10 +69,10 @@ class SingleTrack:
         steering: ArrayLike,
         bank: ArrayLike = 0.0,
     ) -> FrontRear:
-        """Lateral forces [N] of the axles, each in the frame of its wheels.
+        """Return the lateral forces [N] of the axles, each in the frame of its wheels.
 
-        ay is v_y' + v_x r, along the road surface; bank [rad] is positive when the left side is
-        lower, as on a left-hand oval, where weight does a part m g sin(bank) of the work.
+        ay is v_y' + v_x r, along the road surface. bank [rad] is positive if the left side is
+        lower, as on a left-hand oval; the weight then contributes m g sin(bank).
         """
         lateral = self.mass * (np.asarray(ay) - g * np.sin(bank))
         moment = self.Izz * np.asarray(yaw_acceleration)

@@ -1,4 +1,4 @@
-"""The motion of a single-track car, to be identified from how it drives."""
+"""Motion of a single-track car, for identification from driving data."""
 
 from __future__ import annotations
 
@@ -17,18 +17,32 @@ from miho.models.vehicle_settings import from_settings
 
 
 def single_track_response(vehicle: Mapping[str, object]) -> Model:
-    """Yaw rate r [rad/s] over time t [s], from steering [rad] and speed vx [m/s], ISO-W signs.
+    """Model of the yaw rate r [rad/s] over time t [s], from steering [rad] and speed vx [m/s].
 
         m (v_y' + v_x r) = F_yf cos(delta) + F_yr     I_zz r' = l_f F_yf cos(delta) - l_r F_yr
         F_y = -D sin(C arctan(B alpha)),   alpha of either axle as in `SingleTrack`
 
-    `vehicle` names the fields of `SingleTrack`, of which mass, lf and lr are used; the parameters
-    are B [1/rad], C [-] and D [N] of both axles (front _f, rear _r; two tires each) and the yaw
-    inertia Izz [kg m^2].
+    Signs are ISO-W. The parameters are B [1/rad], C [-] and D [N] of both axles (front _f, rear
+    _r; two tires each) and the yaw inertia Izz [kg m^2].
 
-    Rows are one record in the order of time with vx > 0, which begins straight ahead (v_y = r = 0).
-    One step goes from row to row; it is stable for l_f^2 (B C D)_f + l_r^2 (B C D)_r < 2.7 Izz v_x
-    / dt, and forces that saturate keep the solution bounded beyond.
+    Rows are one record in order of time with vx > 0. The record begins with straight driving
+    (v_y = r = 0). There is one integration step per row. It is stable for l_f^2 (B C D)_f + l_r^2
+    (B C D)_r < 2.7 Izz v_x / dt; saturating forces keep the solution bounded for longer steps.
+
+    Parameters
+    ----------
+    vehicle : Mapping[str, object]
+        Fields of `SingleTrack`, of which mass, lf and lr are used.
+
+    Returns
+    -------
+    Model
+        A `Trajectory`.
+
+    Raises
+    ------
+    ValueError
+        If a field is missing, unknown or invalid.
     """
     car = from_settings(SingleTrack, vehicle)
     return Trajectory(
@@ -43,18 +57,36 @@ def single_track_response(vehicle: Mapping[str, object]) -> Model:
 def single_track_drive(
     vehicle: Mapping[str, object], speed: float = 30.0, restart: int | None = None
 ) -> Model:
-    """vx, vy [m/s] and yaw rate [rad/s] over time, from acceleration ax [m/s^2] and steering [rad].
+    """Model of vx, vy [m/s] and yaw rate [rad/s] from acceleration ax [m/s^2] and steering [rad].
 
         v_x' = a_x + v_y r    m (v_y' + v_x r) = F_yf cos(delta) + F_yr
         I_zz r' = l_f F_yf cos(delta) - l_r F_yr
         F_y = Sv - D sin(C arctan(z - E (z - arctan(z)))),   z = B (alpha + Sh)
 
-    a_x is what an accelerometer along the car shows. The twelve parameters are B [1/rad], C [-],
-    D [N], E [-], Sh [rad] and Sv [N] of the front axle _f and the rear axle _r, two tires each;
-    B C D of either is reported as its cornering stiffness. `vehicle` names the fields of
-    `SingleTrack`. Outputs are in multiples of `DRIVE_NOISE`, as `miho.data.tire_drive` gives them;
-    inputs are held from row to row. The drive begins straight ahead at `speed` [m/s], or anew at
-    the measured motion of every `restart` rows (see `Trajectory`).
+    a_x is the reading of a longitudinal accelerometer. The twelve parameters are B [1/rad], C [-],
+    D [N], E [-], Sh [rad] and Sv [N] of the front axle _f and the rear axle _r, two tires each.
+    B C D of each axle is reported as its cornering stiffness. Outputs are divided by
+    `DRIVE_NOISE`, as in the data of `miho.data.tire_drive`. Inputs are constant from row to row.
+
+    Parameters
+    ----------
+    vehicle : Mapping[str, object]
+        Fields of `SingleTrack`.
+    speed : float, optional
+        Initial speed of straight driving [m/s].
+    restart : int, optional
+        Number of rows after which the simulation restarts from the measured motion, see
+        `Trajectory`; by default it does not restart.
+
+    Returns
+    -------
+    Model
+        A `Trajectory`.
+
+    Raises
+    ------
+    ValueError
+        If a field is missing, unknown or invalid.
     """
     car = from_settings(SingleTrack, vehicle)
     straight: dict[str, float | str] = {"vx": speed, "vy": 0.0, "yaw_rate": 0.0}
@@ -73,7 +105,7 @@ def single_track_drive(
 
 
 DRIVE_NOISE = MappingProxyType({"vx": 0.05, "vy": 0.05, "yaw_rate": 0.005})
-"""Standard deviation of each output in SI units, white: a good unit with GNSS."""
+"""Standard deviation of white noise of each output, in SI units, for a good unit with GNSS."""
 
 
 def _units(axle: Mapping[str, str]) -> dict[str, str]:
@@ -91,7 +123,7 @@ def _lateral_motion(
     B_f: Any, C_f: Any, D_f: Any, B_r: Any, C_r: Any, D_r: Any, Izz: Any,
     mass: float, lf: float, lr: float,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """Rates of v_y and of the yaw rate; vx is positive, so that arctan is arctan2."""
+    """Return the rates of v_y and the yaw rate; arctan equals arctan2, because vx is positive."""
     alpha_f = np.arctan((vy + lf * yaw_rate) / vx) - steering
     alpha_r = np.arctan((vy - lr * yaw_rate) / vx)
     front = -D_f * np.sin(C_f * np.arctan(B_f * alpha_f)) * np.cos(steering)
@@ -105,7 +137,7 @@ def planar_motion(
     B_r: Any, C_r: Any, D_r: Any, E_r: Any, Sh_r: Any, Sv_r: Any,
     mass: float, lf: float, lr: float, Izz: float,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Rates of v_x, v_y and the yaw rate; v_x is positive, so that arctan is arctan2."""
+    """Return the rates of v_x, v_y and the yaw rate; v_x must be positive."""
     z_f = B_f * (np.arctan((vy + lf * yaw_rate) / vx) - steering + Sh_f)
     z_r = B_r * (np.arctan((vy - lr * yaw_rate) / vx) + Sh_r)
     front = Sv_f - D_f * np.sin(C_f * np.arctan(z_f - E_f * (z_f - np.arctan(z_f))))
@@ -119,10 +151,10 @@ def planar_motion(
 
 
 def front_cornering_stiffness(*, B_f: Any, C_f: Any, D_f: Any) -> Any:
-    """B C D [N/rad] of the front axle."""
+    """Return B C D [N/rad] of the front axle."""
     return B_f * C_f * D_f
 
 
 def rear_cornering_stiffness(*, B_r: Any, C_r: Any, D_r: Any) -> Any:
-    """B C D [N/rad] of the rear axle."""
+    """Return B C D [N/rad] of the rear axle."""
     return B_r * C_r * D_r

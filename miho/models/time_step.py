@@ -41,5 +41,5 @@ def time_step_remarks(
         needed = int(np.ceil(model.substeps * (errors / NOTICEABLE) ** (1 / order))) + 1
     return [
         f"half the time step moves the optimum by up to {errors:.2g} standard errors: increase "
-        f"substeps from {model.substeps} to {needed}."
+        f"substeps to {needed}, from {model.substeps}."
     ]

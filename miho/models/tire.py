@@ -18,9 +18,16 @@ class Pacejka(Expression):
 
         F_y = D sin(C arctan(B (Sx - alpha))) + Sy
 
-    This is Eq. 4 with the paper's slip angle, which is -alpha in ISO-W, so that B [1/rad],
-    C [-] and D [N] are positive. Sx [rad] shifts the curve along alpha and Sy [N] along F_y:
-    the force is Sy at alpha = Sx.
+    This is Eq. 4 with the paper's slip angle, which is -alpha in ISO-W, so B [1/rad], C [-] and
+    D [N] are positive. Sx [rad] shifts the curve along alpha, and Sy [N] shifts it along F_y: the
+    force is Sy at alpha = Sx.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> theta = np.array([[10.0, 1.5, 4000.0, 0.0, 50.0]])
+    >>> Pacejka().predict(theta, np.array([0.0, 0.05])).round(1).tolist()
+    [[50.0, -2513.0]]
     """
 
     inputs = MappingProxyType({"alpha": "rad"})
@@ -45,8 +52,8 @@ class PacejkaCurvature(Expression):
 
         F_y = D sin(C arctan(z - E (z - arctan(z)))) + Sy,   z = B (Sx - alpha)
 
-    E = 0 is `Pacejka`; the slope at alpha = Sx is B C D for every E. The curve is meant for
-    E <= 1: above, it turns back on itself at large slip.
+    E = 0 gives `Pacejka`. The slope at alpha = Sx is -B C D for every E. Use E <= 1: with larger
+    values the force changes its sign again at large slip.
     """
 
     inputs = MappingProxyType({"alpha": "rad"})

@@ -1,4 +1,4 @@
-"""The tire curve given by what can be read off a plot of it: slope, peak and asymptote."""
+"""Tire curve in terms of features of its plot: slope, peak and asymptote."""
 
 from __future__ import annotations
 
@@ -14,17 +14,21 @@ from miho.quantities import Array
 
 @dataclass(frozen=True)
 class PacejkaLandmarks(Model):
-    """`PacejkaCurvature` in terms of its landmarks, with factors from Pacejka's book.
+    """`PacejkaCurvature` in terms of its slope, peak and asymptote.
 
         C = 2 - (2 / pi) arcsin(y_a / D)     B = K / (C D)
         E = (B x_m - tan(pi / (2 C))) / (B x_m - arctan(B x_m))
 
-    K [N/rad]: slope at alpha = Sx, positive (the cornering stiffness with its sign turned). D and
-    y_a [N]: peak and asymptote of the force less Sy. x_m [rad]: slip angle of the peak from Sx.
-    Sx [rad] and Sy [N] as in `Pacejka`. (Tire and Vehicle Dynamics, 3rd ed. 2012, Sec. 4.3.1.)
+    The parameter K [N/rad] is the slope -dF_y/dalpha at alpha = Sx, positive. D and y_a [N] are
+    the peak and the asymptote of the force minus Sy. x_m [rad] is the distance of the peak from
+    Sx. Sx [rad] and Sy [N] are as in `Pacejka`.
 
-    Not every set of landmarks has a curve: an asymptote above the peak (y_a > D) has none, and
-    where E > 1 the curve turns back before the asymptote. There `predict` and `jacobian` give NaN.
+    Some parameters have no curve: the asymptote must not exceed the peak (y_a <= D), and E must be
+    at most 1. Otherwise `predict` and `jacobian` give NaN.
+
+    References
+    ----------
+    Pacejka, Tire and Vehicle Dynamics, 3rd ed. (2012), Sec. 4.3.1.
     """
 
     inputs = PacejkaCurvature.inputs
@@ -35,7 +39,7 @@ class PacejkaLandmarks(Model):
     linear = ("Sy",)
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Lateral force [N], (n, N), NaN where there is no curve."""
+        """Lateral force [N], (n, N), NaN for parameters without a curve."""
         return PacejkaCurvature().predict(factors(thetas), *inputs)
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
@@ -47,7 +51,7 @@ class PacejkaLandmarks(Model):
 
 
 def factors(thetas: Array) -> Array:
-    """(B, C, D, E, Sx, Sy) of rows (K, D, y_a, x_m, Sx, Sy), (n, 6), NaN where E > 1 or y_a > D."""
+    """Return (B, C, D, E, Sx, Sy) for rows (K, D, y_a, x_m, Sx, Sy); NaN if E > 1 or y_a > D."""
     K, D, y_a, x_m, Sx, Sy = thetas.T
     with np.errstate(invalid="ignore"):
         C = 2 - 2 / np.pi * np.arcsin(y_a / D)

@@ -50,7 +50,9 @@ def test_a_curve_is_its_model_where_it_is_valid() -> None:
 
 
 def test_a_curve_refuses_what_it_was_not_learned_from() -> None:
-    with pytest.raises(ValueError, match="1 of 2 engine speeds, such as 651 rad/s, are outside"):
+    with pytest.raises(
+        ValueError, match="1 of 2 engine speeds, for example 651 rad/s, are outside"
+    ):
         CURVE.torque(np.array([200.0, 651.0]))
     with pytest.raises(ValueError, match="outside the valid interval"):
         CURVE.torque(np.array(np.nan))

@@ -215,7 +215,7 @@ def test_settings_and_tables_that_make_no_map_are_refused() -> None:
         (0, engine.openings * 100, "openings 0.0 to 100.0"),
         (1, engine.speeds[::-1], "expected rising numbers"),
         (2, engine.table[:, :-1], "table of the engine map has shape"),
-        (3, engine.learned * np.nan, "learned of the engine map holds numbers"),
+        (3, engine.learned * np.nan, "learned of the engine map: expected finite"),
     ):
         changed = [*parts[:index], wrong, *parts[index + 1 :]]
         with pytest.raises(ValueError, match=message):

@@ -15,10 +15,26 @@ FORMS: Mapping[str, Form] = {**nist.FORMS, **mgh.FORMS, **kinetics.FORMS}
 
 @dataclass(frozen=True)
 class PublishedModel(Expression):
-    """The formula `name` of the literature, in the numbers of its publication, without units.
+    """A formula of the literature, with the numbers of its publication and without units.
 
-    Parameters are b1, b2, ...; the input is x, and x1, x2, ... where there are several. Where a
-    formula has no value, such as a power of a negative base, it is NaN or infinite.
+    Parameters are b1, b2, ...; the input is x, or x1, x2, ... if there are several. If a formula
+    has no value, for example a power of a negative base, the output is NaN or infinite.
+
+    Parameters
+    ----------
+    name : str
+        Name of the formula, a key of `FORMS`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such formula.
+
+    Examples
+    --------
+    >>> model = PublishedModel("rise")
+    >>> list(model.parameters)
+    ['b1', 'b2']
     """
 
     name: str
@@ -31,7 +47,7 @@ class PublishedModel(Expression):
 
     @property
     def form(self) -> Form:
-        """The formula and what is known of it."""
+        """The formula with its derivatives and linear parameters."""
         return FORMS[self.name]
 
     @property

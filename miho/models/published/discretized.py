@@ -14,10 +14,10 @@ import numpy as np
 from miho.models.published.system import System, Values, all_at, counted, same
 
 TURNING = 6.80812
-"""Of Bratu's equation on a coarse grid: CUTEst's parameter next to the turning point."""
+"""Parameter of Bratu's equation on a coarse grid, next to the turning point, as in CUTEst."""
 DAMKOEHLER, HEAT, ACTIVATION, COOLING = 0.135, 0.5, 25.0, 2.0
 PECLET_MASS, PECLET_HEAT = 1.0, 5.0
-"""Of the reactor: CUTEst's D, B, GAMMA, BETA, PEM and PEH."""
+"""Parameters of the reactor: D, B, GAMMA, BETA, PEM and PEH of CUTEst."""
 
 
 def morebvne(x: Values, m: int, ahead: int = 0) -> Values:
@@ -28,7 +28,7 @@ def morebvne(x: Values, m: int, ahead: int = 0) -> Values:
 
 
 def bdvalues(x: Values, m: int) -> Values:
-    """The same, of the t of the next point: CUTEst counts the left end as a point."""
+    """`morebvne` with t of the next point, because CUTEst counts the left end as a point."""
     return morebvne(x, m, ahead=1)
 
 
@@ -52,7 +52,7 @@ def chandheq(x: Values, m: int) -> Values:
 
 
 def _laplacian(u: Values, axes: int) -> Values:
-    """What a grid (p, ..., k) has more than its neighbours along `axes` axes, 0 beyond its ends."""
+    """Return the negative Laplacian of a grid (p, ..., k) along `axes` axes, with 0 outside."""
     total = 2.0 * axes * u
     for axis in range(axes):
         padded = np.pad(u, [(1, 1) if k == axis else (0, 0) for k in range(u.ndim)])
@@ -100,7 +100,7 @@ def chemrcta(x: Values, m: int) -> Values:
 
 
 def chemrctb(x: Values, m: int) -> Values:
-    """The same without cooling and with one Peclet number: the temperature alone."""
+    """The tubular reactor without cooling and with one Peclet number: temperature only."""
     T = x[1:-1]
     rate = DAMKOEHLER * (HEAT + 1 - T) * np.exp(ACTIVATION - ACTIVATION / T)
     return np.concatenate([_transport(x, PECLET_HEAT) + rate, *_ends(x, PECLET_HEAT)])

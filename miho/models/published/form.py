@@ -1,4 +1,4 @@
-"""One published formula: what a table of them holds."""
+"""Record of a published formula."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from miho.compiled.kernel import Formula
 
 @dataclass(frozen=True)
 class Form:
-    """A formula of `inputs` columns and `parameters` numbers, its derivatives with respect to them.
+    """A formula of `inputs` columns and `parameters` numbers, with derivatives by the parameters.
 
-    The output is jointly linear in the parameters whose numbers, from 1, `linear` holds.
+    `linear` has the numbers, from 1, of parameters in which the output is jointly linear.
     """
 
     value: Formula

@@ -1,4 +1,4 @@
-"""One published system of residuals: what the tables of them hold."""
+"""Record of a published system of residuals."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Residuals = Callable[[Values, int], Values]
 
 @dataclass(frozen=True)
 class System:
-    """Residuals of n variables, and where the publication starts.
+    """Residuals of n variables, with the starting point of the publication.
 
-    `residuals` are analytic functions, so that they have derivatives by the complex step. `start`
-    gives the published start (n,) for n variables, and `size` how many residuals there are of n.
-    The publication may keep every variable at or above `low` (n,).
+    `residuals` are analytic functions, so the complex step gives their derivatives. `start` maps n
+    to the published start (n,), and `size` maps n to the number of residuals. `low` maps n to
+    published lower bounds (n,), if there are any.
     """
 
     residuals: Residuals
@@ -32,17 +32,17 @@ class System:
 
 
 def counted(n: int) -> Array:
-    """1 to n as a column (n, 1)."""
+    """Return 1 to n as a column (n, 1)."""
     return np.arange(1.0, n + 1)[:, None]
 
 
 def same(n: int) -> int:
-    """As many residuals as variables."""
+    """Return n, for systems with as many residuals as variables."""
     return n
 
 
 def all_at(value: float) -> Callable[[int], Array]:
-    """A start with the same value for every variable."""
+    """Return a start with the same value for all variables."""
 
     def start(n: int) -> Array:
         return np.full(n, value)

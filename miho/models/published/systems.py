@@ -17,17 +17,17 @@ SYSTEMS: Mapping[str, System] = {
     **more_wild.SYSTEMS, **cartis_roberts.SYSTEMS, **discretized.SYSTEMS
 }  # fmt: skip
 STEP = 1e-30
-"""Of the complex step: its square is below the rounding of any number that is not tiny itself."""
+"""Size of the complex step; its square is below the rounding error of numbers of usual size."""
 
 
 @dataclass(frozen=True)
 class ResidualSystem(Model):
     """A published system of residuals of `length` variables, without units.
 
-    Parameters are x1, x2, ...; the input `row` numbers the residuals from 1, and the output is the
-    residual, so that the data to fit are zeros (`miho.data.zero_residuals`). A row is one equation,
-    and may depend on every variable. Derivatives are those of the complex step, exact but for
-    rounding (Squire and Trapp, SIAM Review 40, 1998).
+    Parameters are x1, x2, .... The input `row` is the number of a residual, from 1. The output is
+    the residual, so the data are zeros (`miho.data.zero_residuals`). A row is one equation and may
+    depend on all variables. Derivatives by the complex step are exact up to rounding (Squire and
+    Trapp, SIAM Review 40, 1998).
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ class ResidualSystem(Model):
 
     @property
     def published(self) -> System:
-        """The formulas and where the publication starts."""
+        """The formulas with the published start."""
         return SYSTEMS[self.system]
 
     @property
     def size(self) -> int:
-        """The number of residuals."""
+        """Number of residuals."""
         return self.published.size(self.length)
 
     @property
