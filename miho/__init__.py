@@ -1,4 +1,4 @@
-"""MIHO: identify the parameters of a model from data, and compare the methods that do it."""
+"""MIHO: identify the parameters of a model from data, and compare identification methods."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Lazy imports: the names that a package passes on are imported at their first use."""
+"""Lazy imports: the exported names of a package are imported at their first use."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ from pathlib import Path
 
 
 def at_first_use(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` (PEP 562) of a package that passes names on.
+    """Return `__getattr__` and `__dir__` (PEP 562) of a package with lazy exports.
 
-    The names stand in its __init__ under `if TYPE_CHECKING`, as imports that readers, type checkers
-    and `miho.study.closure` see as any other, and that nobody runs. Its modules can be reached as
-    its attributes too.
+    The package imports the names in its __init__ under `if TYPE_CHECKING`, where readers, type
+    checkers and `miho.study.closure` find them. The imports are not executed at run time. Modules
+    of the package are available as attributes too.
+
+    Parameters
+    ----------
+    package : str
+        Name of the package, usually `__name__`.
+
+    Returns
+    -------
+    tuple of callable
+        `__getattr__` and `__dir__`.
     """
     module = sys.modules[package]
 

@@ -1,4 +1,4 @@
-"""What all packages share: the types of arrays, and gravity."""
+"""Array types and the acceleration of gravity, shared by all packages."""
 
 from __future__ import annotations
 

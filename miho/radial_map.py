@@ -1,4 +1,4 @@
-"""A convex set as a box, along the rays from a point inside."""
+"""Map from a cube to a convex polytope, along the rays from an inner point."""
 
 from __future__ import annotations
 
@@ -9,20 +9,32 @@ import numpy as np
 from miho.quantities import Array
 
 TINY = 1e-100
-"""A length below this is no direction."""
+"""Smallest length of a direction."""
 ROUNDING = 1e-9
-"""A point this share of the way beyond a side is on it."""
+"""Relative tolerance for points outside a side."""
 
 
 @dataclass(frozen=True, eq=False)
 class RadialMap:
-    """Shares (m,) from -1 to 1 that stand for the points of a polytope, each for one.
+    """One-to-one map from shares (m,) in [-1, 1] to the points of a convex polytope.
 
-    On the ray from `centre` (m,) with the direction `width` * share, the largest share in magnitude
-    says how far along the ray a point is, and 1 is where the ray leaves the polytope. That is where
-    `sides` (s, m) @ share reaches 1 first; `texts` (s,) say which side is which. So any
-    number of sides costs one product of a matrix, and the cube is filled as the polytope is. A
-    point has `names` (m,), from `low` to `high`, and the shares have `names` of their own.
+    A point is on the ray from `centre` with the direction `width` * share. The largest share in
+    magnitude is its distance along the ray, relative to the distance at which the ray leaves the
+    polytope. The ray leaves where `sides` @ share first reaches 1. The cost is one matrix product
+    for any number of sides.
+
+    Parameters
+    ----------
+    names, share_names : tuple of str
+        Names of the coordinates of a point and of its shares.
+    centre, width : ndarray, shape (m,)
+        Inner point and scale of the directions.
+    sides : ndarray, shape (s, m)
+        Scaled normals of the sides.
+    texts : tuple of str
+        Text of each side's constraint, for messages.
+    low, high : ndarray, shape (m,)
+        Bounds of the points.
     """
 
     names: tuple[str, ...]
@@ -35,12 +47,12 @@ class RadialMap:
     high: Array
 
     def points(self, shares: Array) -> Array:
-        """The points (n, m) of shares (n, m)."""
+        """Return the points (n, m) of shares (n, m)."""
         reach = self._lengths(shares)[0]
         return np.clip(self.centre + self.width * shares * reach[:, None], self.low, self.high)
 
     def slopes(self, shares: Array) -> Array:
-        """The derivatives (n, m, m) of the points with respect to shares (n, m)."""
+        """Return the derivatives (n, m, m) of the points with respect to shares (n, m)."""
         reach, length = self._lengths(shares)
         rows, largest = np.arange(len(shares)), np.abs(shares).argmax(axis=1)
         bend = -reach[:, None] * self.sides[(shares @ self.sides.T).argmax(axis=1)]
@@ -50,7 +62,7 @@ class RadialMap:
         return np.asarray(self.width[:, None] * slopes)
 
     def shares(self, point: Array) -> Array:
-        """The shares (m,) of a point (m,); raises ValueError for one outside of the polytope."""
+        """Return the shares (m,) of a point (m,); raises ValueError if it is outside."""
         direction = (point - self.centre) / self.width
         lengths = self.sides @ direction
         beyond = int(lengths.argmax())
@@ -60,11 +72,11 @@ class RadialMap:
                 for name, value, slope in zip(self.names, point, self.sides[beyond], strict=True)
                 if slope
             )
-            raise ValueError(f"start: {values} do not keep {self.texts[beyond]}")
+            raise ValueError(f"start: {values} violate {self.texts[beyond]}")
         size = np.abs(direction).max()
         return direction if size < TINY else direction * min(lengths[beyond], 1.0) / size
 
     def _lengths(self, shares: Array) -> tuple[Array, Array]:
-        """How far a ray reaches in units of its shares (n,), and `sides` @ shares at most (n,)."""
+        """Return the reach of rays relative to their shares and max(`sides` @ shares), (n,) each."""
         length = np.maximum((shares @ self.sides.T).max(axis=1), TINY)
         return np.maximum(np.abs(shares).max(axis=1), TINY) / length, length

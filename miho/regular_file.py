@@ -1,4 +1,4 @@
-"""Reading files that a user names: the path of a pipe or a device must not hold the program up."""
+"""Reading of regular files; paths of pipes and devices are refused, because reads could block."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ NO_WAITING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY"
 
 
 class NotAFileError(ValueError):
-    """A path that names something else than a file with an end; one line with the path."""
+    """Error for a path that is not a regular file with an end, in one line."""
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Raise NotAFileError for a folder, pipe, device or socket, FileNotFoundError for nothing."""
+    """Raise NotAFileError unless a path is a regular file, and FileNotFoundError if missing."""
     _check_mode(path, Path(path).stat().st_mode)
 
 
 def read_regular(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
-    """The bytes of a file, at most `limit` of them; links are followed.
+    """Return the bytes of a file, at most `limit`; links are followed.
 
-    Nothing is waited for: a pipe or device is refused unopened, and so is a file without an end
-    that is ready to be read, such as /proc/kmsg, which its mode does not tell. Raises
-    NotAFileError for these, and the OSError of opening or reading.
+    The call never blocks. Pipes and devices are refused without opening them. A file without an
+    end, for example /proc/kmsg, has the mode of a regular file and is refused by a read that would
+    block. Raises NotAFileError in these cases, and OSError of opening or reading.
     """
-    check_regular(path)  # opening a device can do something to it already
+    check_regular(path)  # opening a device may have side effects
     chunks: list[bytes] = []
     size = 0
     with os.fdopen(os.open(path, NO_WAITING), "rb", buffering=0) as stream:

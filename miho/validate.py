@@ -1,4 +1,4 @@
-"""Checks of settings; their errors name the field, the value and what was expected."""
+"""Checks of settings, with errors that name the field, the value and the expected values."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ def whole(field: str, value: int, low: int, high: int | None = None) -> None:
 
 
 def positive(field: str, value: float, unit: str = "") -> None:
-    """Raise ValueError unless `value` is a finite number above zero; `unit` ends the sentence."""
+    """Raise ValueError unless `value` is a finite number above 0; the message ends with `unit`."""
     if not _is_number(value) or value <= 0:
         raise ValueError(f"{field} is {value!r}; expected a positive number{unit and f' {unit}'}")
 
 
 def settings_at_least(settings: object, names: Iterable[str], low: float) -> None:
-    """As `at_least`, of the attributes of these names."""
+    """Apply `at_least` to the attributes with these names."""
     for name in names:
         at_least(name, getattr(settings, name), low)
 
 
 def whole_settings(settings: object, names: Iterable[str], low: int) -> None:
-    """As `whole`, of the attributes of these names."""
+    """Apply `whole` to the attributes with these names."""
     for name in names:
         whole(name, getattr(settings, name), low)
 
 
 def positive_settings(settings: object, names: Iterable[str], unit: str = "") -> None:
-    """As `positive`, of the attributes of these names."""
+    """Apply `positive` to the attributes with these names."""
     for name in names:
         positive(name, getattr(settings, name), unit)
 

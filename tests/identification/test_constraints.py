@@ -155,7 +155,7 @@ def test_dense_inequalities_are_searched_along_rays() -> None:
     centre, corner = ties.values(np.zeros((1, 20)))[0], np.ones(20)
     assert (A @ centre < b).all()
     assert np.isfinite(ties.value_slopes(np.zeros((1, 20)))).all()
-    with pytest.raises(ValueError, match=r"start: x0 = 1, .*x19 = 1 do not keep .* < "):
+    with pytest.raises(ValueError, match=r"start: x0 = 1, .*x19 = 1 violate .* < "):
         free_values(free, ties, dict(zip(ties.names, corner, strict=True)))
 
 
