@@ -77,6 +77,6 @@ class RadialMap:
         return direction if size < TINY else direction * min(lengths[beyond], 1.0) / size
 
     def _lengths(self, shares: Array) -> tuple[Array, Array]:
-        """Return the reach of rays relative to their shares and max(`sides` @ shares), (n,) each."""
+        """Return the reach of rays relative to shares, and max(`sides` @ shares), (n,) each."""
         length = np.maximum((shares @ self.sides.T).max(axis=1), TINY)
         return np.maximum(np.abs(shares).max(axis=1), TINY) / length, length
