@@ -1,4 +1,4 @@
-"""Drive what was identified: the car, its plants, planning and control."""
+"""Simulation of an identified car: vehicle, plants, planning and control."""
 
 from typing import TYPE_CHECKING
 

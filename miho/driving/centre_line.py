@@ -23,14 +23,34 @@ def track_from_csv(
     step: float = 1.0,
     noise: float = 0.1,
 ) -> Track:
-    """A track from points of its centre line in a file with a header line.
+    """Make a track from points of its centre line in a CSV file with a header.
 
-    columns: the file's names of x, y and the widths to the right and to the left [m], in this
-    order; bank: that of the banking [rad], positive when the left side is lower, flat if None. The
-    points follow the direction of travel; the last one may repeat the first. step: distance of
-    the track's points [m]. noise: standard deviation of the points' coordinates [m], by which a
-    periodic cubic spline smooths them; survey noise not smoothed out would be curvature.
-    Raises CSVError for what is wrong with the file, ValueError for points that are no closed line.
+    A periodic cubic spline smooths the points, because survey noise would appear as curvature.
+
+    Parameters
+    ----------
+    path : str
+        The CSV file. Points follow the direction of travel; the last point may repeat the first.
+    columns : sequence of str, optional
+        Column names of x, y and the widths to the right and to the left [m], in this order.
+    bank : str, optional
+        Column name of the bank [rad], positive if the left side is lower; flat by default.
+    step : float, optional
+        Distance of the points of the track [m].
+    noise : float, optional
+        Standard deviation of the coordinates of the points [m].
+
+    Returns
+    -------
+    Track
+        The closed line.
+
+    Raises
+    ------
+    CSVError
+        If the file cannot be read.
+    ValueError
+        If the points do not form a closed line.
     """
     headers = [*columns, *([] if bank is None else [bank])]
     rows = np.stack(list(read_numbers(Path(path), headers, header=True).values()), axis=1)

@@ -1,9 +1,9 @@
-"""The forces of a Magic Formula tire as a compiled function of its slips and load.
+"""Forces of a Magic Formula tire as a compiled function of its slips and load.
 
-`MagicFormula` evaluates arrays; a simulation asks for one wheel at a time, some ten thousand times
-per simulated second. Here the equations (4.E9-4.E30 and 4.E50-4.E67, numbered as there) are
-reduced to what a run leaves free: pressure and inclination of a wheel are fixed, and all their
-terms become constants. The values are those of `MagicFormula.forces` to rounding.
+`MagicFormula` evaluates arrays; a simulation evaluates single wheels about ten thousand times per
+simulated second. The equations (4.E9-4.E30 and 4.E50-4.E67, numbered as in `MagicFormula`) are
+reduced to fixed pressure and inclination of a wheel, so their terms become constants. Values agree
+with `MagicFormula.forces` up to rounding.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from miho.models.magic_formula import MagicFormula
 
 
 class WheelTire(NamedTuple):
-    """A tire at one pressure and inclination; pairs are (value at FNOMIN, change with dfz)."""
+    """A tire at a fixed pressure and inclination; pairs are (value at FNOMIN, slope over dfz)."""
 
     nominal: float  # LFZO FNOMIN [N]
     Fz_range: tuple[float, float]  # [N]
@@ -70,7 +70,7 @@ class WheelTire(NamedTuple):
 
 
 def wheel_tire(tire: MagicFormula, gamma: float = 0.0, pressure: float | None = None) -> WheelTire:
-    """The tire at an inclination [rad], ISO-W, and a pressure [Pa], nominal if None."""
+    """Return the tire at an inclination [rad], ISO-W, and a pressure [Pa], by default nominal."""
     p = tire.parameters
     old = p.version == "5.2"
     if not np.isfinite(gamma):
@@ -142,11 +142,12 @@ def wheel_tire(tire: MagicFormula, gamma: float = 0.0, pressure: float | None = 
 def wheel_forces(
     p: WheelTire, load: float, kappa: float, alpha: float, Vx: float, friction: float = 1.0
 ) -> tuple[float, float]:
-    """Fx, Fy [N] at a load [N], slip ratio, slip angle [rad] and speed of the wheel centre [m/s].
+    """Return Fx, Fy [N] for load [N], slip ratio, slip angle [rad] and wheel centre speed [m/s].
 
-    ISO-W signs and limits as in `MagicFormula.forces` with alpha_star False. friction [-]: of the
-    road, over that on which the tire was measured. It multiplies LMUX and LMUY, the scaling factors
-    of the peaks; the stiffnesses stay, and the vertical shifts fade as in 4.E8.
+    ISO-W signs and limits are as in `MagicFormula.forces` with alpha_star False. friction [-] is
+    the friction of the road relative to the road of the tire measurement. It multiplies LMUX and
+    LMUY, the scaling factors of the peaks. Stiffnesses are unchanged, and the vertical shifts fade
+    as in 4.E8.
     """
     load = max(load, 0.0)
     Fz = min(max(load, p.Fz_range[0]), p.Fz_range[1])

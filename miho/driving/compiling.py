@@ -1,8 +1,8 @@
-"""Functions of the simulated car that numba compiles; the first call imports numba.
+"""Compilation of the simulated car's functions by numba, which the first call imports.
 
-Numba's cache on disk knows a function by its own file and name. It does not see an edit of another
-file, from which the function takes what it calls. The name of a compiled function therefore ends in
-a digest of all files that compiled code here is taken from.
+Numba's cache on disk identifies a function by its file and name, and does not notice edits of
+called functions in other files. The name of a compiled function therefore ends with a digest of all
+files with compiled code.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class MissingNumbaError(ModuleNotFoundError):
-    """What is simulated needs numba, which is not installed."""
+    """Error for a simulation without numba."""
 
     def __init__(self) -> None:
         super().__init__("driving needs numba: pip install 'miho[driving]'", name="numba")
 
 
 def compiled(function: Function) -> Function:
-    """A decorator: the function is compiled at its first call, or read from the cache on disk.
+    """Decorate a function to be compiled at its first call, or read from the cache on disk.
 
-    It may call functions that are a `part`. A call raises MissingNumbaError without numba.
+    It may call functions decorated with `part`. A call raises MissingNumbaError without numba.
     """
 
     @wraps(function)
@@ -40,14 +40,14 @@ def compiled(function: Function) -> Function:
 
 
 def part(function: Function) -> Function:
-    """A decorator: compiled functions may call the function. Called from Python it is Python's."""
+    """Decorate a function that compiled functions may call; Python calls run uncompiled."""
     _parts.append(function)
     return function
 
 
 _compiled: dict[Callable[..., Any], Any] = {}
 _parts: list[Callable[..., Any]] = []
-"""Functions that numba has not been shown yet."""
+"""Functions that are not yet registered with numba."""
 _compiling = Lock()
 
 
@@ -70,6 +70,6 @@ def _compile(function: Callable[..., Any]) -> Any:
 
 @cache
 def _digest() -> str:
-    """16 hexadecimal digits of the files that compiled code is taken from."""
+    """Return 16 hexadecimal digits of a digest of the files with compiled code."""
     files = [*sorted(Path(__file__).parent.glob("*.py")), Path(miho.quantities.__file__)]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]

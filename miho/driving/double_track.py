@@ -1,4 +1,4 @@
-"""Plant 1: a double track that knows more than any controller here."""
+"""Plant 1: a double-track model with more detail than the models of the controllers."""
 
 from __future__ import annotations
 
@@ -34,16 +34,17 @@ from miho.models.engine_map import EngineMap
 from miho.quantities import Array
 
 LARGEST_STEP = 1e-3
-"""Above it the lightest mode, a wheel that comes to rest, is no longer stable [s]."""
+"""Largest stable step [s], limited by the fastest mode, a wheel that comes to rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class DoubleTrackState:
-    """All that moves: y (23,) as in `dynamics`, and the commands that are still on their way.
+    """State of a `DoubleTrack`: y (23,) as in `dynamics`, and the delayed commands.
 
-    gearbox (2,): gear engaged, seconds until its clutch closes. steering, brake: delayed commands,
-    the next one first, one per step. outputs (11,): x, y [m], heading of the line and
-    bank [rad] below the car, engine speed [rad/s], a_x, a_y [m/s^2] and four loads [N].
+    gearbox (2,) has the engaged gear and the time until its clutch closes [s]. steering and brake
+    are queues of delayed commands, one per step, the next one first. outputs (11,) are x, y [m],
+    heading of the line and bank [rad] at the car, engine speed [rad/s], a_x, a_y [m/s^2] and four
+    loads [N].
     """
 
     time: float
@@ -56,10 +57,30 @@ class DoubleTrackState:
 
 @dataclass(frozen=True, eq=False)
 class DoubleTrack(Plant[DoubleTrackState]):
-    """Three planar degrees of freedom, wheel spins, combined slip, banking, engine and brake.
+    """Double-track car with planar motion, wheel spin, combined slip, banking, engine and brake.
 
-    step: of the Runge-Kutta integration of fourth order [s]; actuator delays are rounded to
-    whole steps. The motion is deterministic: noise belongs to `Sensors`.
+    The motion is deterministic; `Sensors` adds measurement noise.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    tires : tuple of MagicFormula
+        Tires front left, front right, rear left, rear right.
+    engine : EngineMap
+        The engine.
+    brake : Brake
+        The brake.
+    road : Road, optional
+        The road, by default a plane.
+    step : float, optional
+        Step of the fourth-order Runge-Kutta integration [s], at most 1e-3. Actuator delays are
+        rounded to whole steps.
+
+    Raises
+    ------
+    ValueError
+        If the step or the number of tires is invalid.
     """
 
     vehicle: Vehicle
@@ -79,13 +100,13 @@ class DoubleTrack(Plant[DoubleTrackState]):
 
     @cached_property
     def car(self) -> Car:
-        """The numbers that the compiled code reads."""
+        """Numbers of the car for compiled code."""
         return car_of(self.vehicle, self.tires, self.engine, self.brake)
 
     def start(
         self, s: float = 0.0, offset: float = 0.0, speed: float = 0.0, gear: int = 1
     ) -> DoubleTrackState:
-        """As in `Plant`; the engine runs at closed throttle."""
+        """See `Plant.start`; the engine runs at closed throttle."""
         for name, value in (("s", s), ("offset", offset), ("speed", speed)):
             if not math.isfinite(value):
                 raise ValueError(f"{name} is {value}; expected a finite number")
@@ -108,7 +129,7 @@ class DoubleTrack(Plant[DoubleTrackState]):
     def advance(
         self, state: DoubleTrackState, command: Command, duration: float
     ) -> DoubleTrackState:
-        """As in `Plant`; the duration is a multiple of the step."""
+        """See `Plant.advance`; the duration must be a multiple of the step."""
         count = steps_of(duration, self.step)
         command.check(len(self.vehicle.gear_ratios))
         moved = DoubleTrackState(
@@ -122,12 +143,12 @@ class DoubleTrack(Plant[DoubleTrackState]):
         )  # fmt: skip
         if not np.isfinite(moved.y).all():
             raise ValueError(
-                f"the motion is not finite at {moved.time:.3f} s; the car started beyond all speeds"
+                f"the motion is not finite at {moved.time:.3f} s; start with a lower speed"
             )
         return moved
 
     def motion(self, state: DoubleTrackState) -> Motion:
-        """As in `Plant`."""
+        """See `Plant.motion`."""
         y, (x, y_plan, heading, bank, engine_speed, ax, ay, *loads) = state.y, state.outputs
         chi = float(y[CHI])
         turned = math.atan2(math.sin(chi) * math.cos(bank), math.cos(chi))
@@ -148,7 +169,7 @@ def _advance(
     brake: Array, outputs: Array, steering_command: float, throttle: float, brake_command: float,
     gear_command: int,
 ) -> None:  # fmt: skip
-    """Runge-Kutta steps of fourth order, in place; gear and delays change between steps only."""
+    """Integrate in place by fourth-order Runge-Kutta; gear and delays change between steps."""
     slope, trial, total = np.empty(y.size), np.empty(y.size), np.empty(y.size)
     for _ in range(count):
         gear, closed = _shift(car, y, gearbox, gear_command, step)
@@ -171,7 +192,7 @@ def _advance(
 def _write_outputs(
     car: Car, road: Road, gear: int, closed: bool, y: Array, slope: Array, outputs: Array
 ) -> None:
-    """Write what `DoubleTrackState.outputs` holds for the state y (23,)."""
+    """Write `DoubleTrackState.outputs` for the state y (23,)."""
     _, bank = shape_at(road, y[S])
     outputs[0], outputs[1], outputs[2] = place_at(road, y[S], y[N] * math.cos(bank))
     outputs[3] = bank
@@ -183,9 +204,9 @@ def _write_outputs(
 
 @part
 def _shift(car: Car, y: Array, gearbox: Array, gear_command: int, step: float) -> tuple[int, bool]:
-    """The gear and whether its clutch is closed.
+    """Return the gear and whether its clutch is closed.
 
-    A shift that would turn the engine beyond its largest speed is refused.
+    A shift is ignored if the engine would exceed its largest speed.
     """
     gear = int(gearbox[0])
     if gearbox[1] > 0:
@@ -201,7 +222,7 @@ def _shift(car: Car, y: Array, gearbox: Array, gear_command: int, step: float) -
 
 @part
 def _delayed(queue: Array, command: float) -> float:
-    """The command that arrives now, while a new one joins the queue."""
+    """Return the oldest command of the queue, and append a new one."""
     if queue.size == 0:
         return command
     first: float = queue[0]

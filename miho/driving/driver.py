@@ -1,4 +1,4 @@
-"""A driver: the plan it follows, its controllers, and when it stops instead."""
+"""A driver: plan, controllers and the conditions of a safe stop."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from miho.driving.velocity_planner import VelocityPlan, VelocityPlanner
 from miho.validate import positive
 
 LOST = 10.0
-"""Offset [m] at which a car is no longer on its line and stops."""
+"""Offset from the line [m] at which a car makes a safe stop."""
 SAFE_BRAKE = 6.0
 """Deceleration of a safe stop [m/s^2]."""
 TOO_FAST = 0.5
-"""Speed above the plan's at its start [m/s] that control can still take away."""
+"""Largest excess over the speed at the start of a plan that control can correct [m/s]."""
 NEEDED = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "steering")
-"""What must be known of the motion to drive."""
+"""Measurements that the driver needs."""
 
 
 class SlowZone(NamedTuple):
-    """A stretch from `start` to `end` [m] along the line, laps added up, with a top speed [m/s].
+    """A stretch with a top speed [m/s], for example because of slower traffic.
 
-    Behind slower traffic, for instance, or on the way to the pits.
+    `start` and `end` [m] are distances along the line since the start of the drive, over all laps.
     """
 
     start: float
@@ -45,10 +45,16 @@ class SlowZone(NamedTuple):
 
 @dataclass(frozen=True)
 class Pace:
-    """Top speeds [m/s] of the laps in turn, the last one for all further, reached by ramps.
+    """Top speeds of successive laps, with ramps between them.
 
-    slow: where a lower top speed stands. ramp, brake_ramp [m/s^2]: rates at which the desired speed
-    rises and falls on the way from one top speed to the next.
+    Parameters
+    ----------
+    top_speeds : tuple of float
+        Top speed of each lap [m/s]; the last one is used for all further laps.
+    ramp, brake_ramp : float, optional
+        Rates at which the desired speed rises and falls between top speeds [m/s^2].
+    slow : tuple of SlowZone, optional
+        Stretches with a lower top speed.
     """
 
     top_speeds: tuple[float, ...]
@@ -71,18 +77,18 @@ class Pace:
                 )
 
     def top(self, laps: int, distance: float) -> float:
-        """The top speed [m/s] after so many laps, at a distance [m] with the laps added up."""
+        """Return the top speed [m/s] after a number of laps, at a distance over all laps [m]."""
         tops = [self.top_speeds[min(laps, len(self.top_speeds) - 1)]]
         return min(tops + [z.top_speed for z in self.slow if z.start <= distance < z.end])
 
     def step(self, cap: float, top: float, period: float) -> float:
-        """The change [m/s] of the desired speed `cap` towards a top speed in a period [s]."""
+        """Return the change [m/s] of the desired speed `cap` towards `top` in a period [s]."""
         return min(max(top - cap, -self.brake_ramp * period), self.ramp * period)
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """Obstacles that are seen from a distance [m] along the line, and planned around then."""
+    """Obstacles, and the distance along the line [m] from which they are seen and avoided."""
 
     obstacles: tuple[Obstacle, ...]
     distance: float
@@ -90,13 +96,13 @@ class Sighting:
     velocity: VelocityPlanner | PrintedPlanner
 
     def in_sight(self, line: Track, s: float) -> bool:
-        """Whether the first obstacle is near enough ahead of an arc length [m]."""
+        """Return whether the first obstacle is seen from an arc length [m]."""
         return 0 <= (self.obstacles[0].s - s) % line.length <= self.distance
 
     def replan(self, line: Track, s: float, vx: float) -> VelocityPlan:
-        """The plan around them from an arc length [m] on, for a car that is as fast as vx [m/s].
+        """Return a plan around the obstacles from an arc length [m], at a speed vx [m/s].
 
-        Raises ValueError if there is none, or none without braking sooner than now.
+        Raises ValueError if there is no such plan, or if the car is too fast for it.
         """
         plan = self.velocity.plan(self.local.path(line, self.obstacles, s))
         v, _ = plan.at(s)
@@ -109,22 +115,25 @@ class Sighting:
 
 
 class Place(NamedTuple):
-    """Where a car is on the line of its plan, and how far off."""
+    """Position of a car on the line of its plan, with tracking errors."""
 
     at: Projection
     error: TrackingError
 
 
 def place(line: Track, motion: Motion, hint: float | None) -> Place:
-    """The place of a motion, near an arc length [m] if that is known."""
+    """Return the place of a motion, near an arc length `hint` [m] if it is known."""
     at = line.project(motion.x, motion.y, hint)
     error = tracking_error(line, at, motion.yaw, motion.vx, motion.vy, motion.yaw_rate)
     return Place(at, error)
 
 
 class DriverState(NamedTuple):
-    """What a driver remembers. at, vx: where it was [m] and how fast; laps and cap [m/s] belong to
-    its pace; stopped says why it makes a safe stop, "" while it drives."""
+    """State of a driver between commands.
+
+    at and vx are the last position along the line [m] and speed [m/s]; laps and cap [m/s] belong
+    to the pace. stopped is the reason for a safe stop, "" during normal driving.
+    """
 
     plan: VelocityPlan
     at: float
@@ -141,13 +150,27 @@ class DriverState(NamedTuple):
 
 @dataclass(frozen=True)
 class Driver:
-    """Follows a plan by steering, throttle, brake and gear, a command every `period` [s].
+    """Driver that follows a plan by steering, throttle, brake and gear.
 
-    A measurement that is not finite, an offset of more than 10 m or an obstacle with no path
-    around it make a safe stop: along the line, on the brakes; what is not measured is guessed.
+    The driver makes a safe stop if a measurement is not finite, if the offset exceeds 10 m, or if
+    there is no path around an obstacle. During a safe stop it follows the line and brakes; missing
+    measurements are estimated.
 
-    `live` gives the desired speed from each measured motion, by the equations as they are printed;
-    without it the desired speed is the plan's.
+    Parameters
+    ----------
+    plan : VelocityPlan
+        Line and speeds.
+    speed : SpeedController
+        Controller of throttle, brake and gear.
+    steering : SteeringController or PrintedSteering
+        Controller of the steering.
+    pace : Pace, optional
+        Top speeds of the laps.
+    sighting : Sighting, optional
+        Obstacles and their avoidance.
+    live : PrintedPlanner, optional
+        Planner that computes the desired speed from each measured motion by the printed equations.
+        By default the desired speed is the speed of the plan.
     """
 
     plan: VelocityPlan
@@ -163,7 +186,7 @@ class Driver:
         return self.steering.period
 
     def begin(self, motion: Motion) -> DriverState:
-        """The state of a driver that takes over a car."""
+        """Return the initial state of a driver at a motion."""
         speed = self.speed.start(motion.vx)
         at = self.plan.line.project(motion.x, motion.y).s
         command = Command(gear=speed.gear)
@@ -182,22 +205,22 @@ class Driver:
         )
 
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
-        """The next command from a measured motion, and what the driver remembers after it."""
-        # What is not measured is guessed and makes a safe stop, whatever comes later.
+        """Return the next command for a measured motion, and the new state."""
+        # Missing measurements are estimated and cause a safe stop.
         needed = NEEDED if self.live is None else (*NEEDED, "ay")
         unknown = [name for name in needed if not math.isfinite(getattr(motion, name))]
         if unknown:
             motion = self._guessed(state, motion, unknown)
             reason = f"{unknown[0]} is not finite"
             state = state._replace(stopped=state.stopped or reason)
-        # The plan may change, and with it the line; then where the car is on it.
+        # Update the plan and its line, then the position on the line.
         state = self._replanned(state, motion.vx)
         at, error = place(state.plan.line, motion, state.at)
         laps = state.laps + (state.at - at.s > state.plan.line.length / 2)
         state = state._replace(at=at.s, laps=laps, vx=motion.vx)
         if abs(at.e) > LOST and not state.stopped:
             state = state._replace(stopped=f"{at.e:.1f} m off the line")
-        # It is steered in a safe stop too; pedals follow the desired speed, or brake to a stop.
+        # Steer also during a safe stop; the pedals follow the desired speed, or brake to a stop.
         steering, remembered = self.steering.command(
             state.steering, state.plan.line, at, error, motion.vx, motion.steering
         )
@@ -210,7 +233,7 @@ class Driver:
         return command, state._replace(cap=cap, desired=desired, speed=speed, command=command)
 
     def _guessed(self, state: DriverState, motion: Motion, unknown: Sequence[str]) -> Motion:
-        """The motion with what is unknown as if the car was on its line and braking safely."""
+        """Return the motion with unknown parts estimated for braking on the line."""
         vx = max(state.vx - SAFE_BRAKE * self.period, 0.0)
         point = state.plan.line.at(state.at + vx * self.period)
         turn = self.steering.feed_forward(vx, float(point.curvature), float(point.bank))
@@ -222,7 +245,7 @@ class Driver:
         return motion._replace(**{name: guess[name] for name in unknown})
 
     def _replanned(self, state: DriverState, vx: float) -> DriverState:
-        """The state with a plan around the obstacles, once they are seen."""
+        """Return the state with a plan around the obstacles after they are seen."""
         sighting = self.sighting
         if sighting is None or state.planned or state.stopped:
             return state
@@ -236,7 +259,7 @@ class Driver:
         return state._replace(plan=plan, at=state.at * plan.line.length / self.plan.line.length)
 
     def _desired(self, state: DriverState, motion: Motion) -> tuple[float, float, float]:
-        """Desired speed [m/s], its rate [m/s^2], and the cap of the pace [m/s]."""
+        """Return the desired speed [m/s], its rate [m/s^2], and the cap of the pace [m/s]."""
         v, _ = state.plan.at(state.at)
         _, ax = state.plan.at(state.at + state.vx * self.speed.lead)
         if self.live is not None:
@@ -250,7 +273,7 @@ class Driver:
         return (v, ax, cap) if v <= cap else (cap, rise / self.period, cap)
 
     def _brake(self, state: DriverState, steering: float) -> tuple[Command, DriverState]:
-        """The command of a safe stop."""
+        """Return the command of a safe stop, and the new state."""
         brake = self.speed.brake
         u = brake.command(SAFE_BRAKE * self.speed.vehicle.mass).u
         pressure = float(brake.pressure(u)[0])

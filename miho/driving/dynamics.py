@@ -1,18 +1,19 @@
-"""The equations of motion of the double track, compiled.
+"""Compiled equations of motion of the double track.
 
-Body (three planar degrees of freedom, in the plane of the road), four wheels that turn, slips that
-follow with relaxation lengths, loads that follow with a lag, steering, engine and brake:
+The model has a body with three planar degrees of freedom in the plane of the road, four rotating
+wheels, slips with relaxation lengths, loads with a lag, steering, engine and brake:
 
     v_x' = a_x + v_y r + g sin(bank) sin(chi)     I_zz r' = sum of x F_y - y F_x over the wheels
     v_y' = a_y - v_x r + g sin(bank) cos(chi)     I w' = T_drive - R F_x - T_brake - T_rolling
     s' = (v_x cos(chi) - v_y sin(chi)) / (1 - n kappa cos(bank))    chi' = r - kappa cos(bank) s'
     sigma_x k' = (w R - u) - |u| k                sigma_y tan(alpha)' = v - |u| tan(alpha)
 
-with a_x, a_y the forces over the mass, u, v the velocity of a wheel's centre along and across it,
-chi the heading relative to the line and n the offset from it in the plane of the road, which
-bends by kappa cos(bank) in that plane and presses the car on it with kappa sin(bank) v^2 (a cone).
-How fast the bank itself changes is left out, and so are the tires' aligning moments. Relaxation:
-Bernard and Clover, SAE 950311; Pacejka, Tire and Vehicle Dynamics, 3rd ed., Ch. 7-8.
+a_x and a_y are the forces divided by the mass. u and v are the velocities of a wheel centre along
+and across the wheel. chi is the heading relative to the line, and n is the offset from it in the
+plane of the road. In this plane, the line has the curvature kappa cos(bank); the road presses on
+the car with kappa sin(bank) v^2 (a cone). Rates of the bank and aligning moments of the tires are
+neglected. Relaxation: Bernard and Clover, SAE 950311; Pacejka, Tire and Vehicle Dynamics, 3rd ed.,
+Ch. 7-8.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ from miho.quantities import Array, g
 
 S, N, CHI, VX, VY, R, AX, AY, DELTA, TORQUE, PRESSURE = range(11)
 WHEELS, KAPPA, TAN_ALPHA, SIZE = 11, 15, 19, 23
-"""Where the state (23,) holds what: per wheel FL, FR, RL, RR its speed, slip ratio and tan alpha.
+"""Indices of the state (23,); wheels FL, FR, RL, RR have a speed, a slip ratio and tan(alpha).
 
-AX and AY are the accelerations that the loads follow.
+AX and AY are the lagged accelerations of the loads.
 """
 
 SLOW = 2.0
-"""Speed [m/s] below which slips are damped, without which a standing car would rock for ever."""
+"""Speed [m/s] below which slips are damped; a car at rest would oscillate without damping."""
 DAMPING = 0.05
-"""Slip that a sliding speed adds there [s/m]; Pacejka, Ch. 8.6."""
+"""Additional slip per sliding speed at low speed [s/m]; Pacejka, Ch. 8.6."""
 LARGEST_SLIP = 1.5
-"""Where slip ratio and tan(alpha) stop to grow; the tires slide long before."""
+"""Largest slip ratio and tan(alpha), far beyond the peaks of the forces."""
 
 
 @part
@@ -54,10 +55,10 @@ def derivative(
     car: Car, road: Road, gear: int, closed: bool, inputs: tuple[float, float, float],
     y: Array, dy: Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Write the rates of the state y (23,) to dy; returns a_x and a_y [m/s^2].
+    """Write the rates of the state y (23,) to dy, and return a_x and a_y [m/s^2].
 
-    gear: engaged, 0 for neutral; closed: no shift is going on. inputs: steering [rad], throttle
-    and brake pressure [Pa] that reach the actuators.
+    gear is the engaged gear, 0 for neutral; closed is false during a shift. inputs are the delayed
+    steering [rad], throttle and brake pressure [Pa].
     """
     c = car.chassis[0]
     fx, fy, moment = _wheels(car, road, gear, closed, y, dy)
@@ -83,7 +84,7 @@ def derivative(
     mean = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
     d = car.driveline[0]
     omega, _ = engine_speed(car.engine, d, gear, closed, mean)
-    # While gears change the ignition is cut and the turbo keeps turning.
+    # During a shift the ignition is cut, and the turbo keeps its speed.
     dy[TORQUE] = torque_rate(car.engine, d, y[TORQUE], omega, throttle) if closed else 0.0
     dy[PRESSURE] = pressure_rate(car.brakes[0], y[PRESSURE], brake)
     return ax, ay
@@ -91,7 +92,7 @@ def derivative(
 
 @part
 def loads_of(car: Car, road: Road, y: Array) -> tuple[float, float, float, float]:
-    """Loads of the wheels [N]."""
+    """Return the loads of the wheels [N]."""
     curvature, bank = shape_at(road, y[S])
     along = y[VX] * math.cos(y[CHI]) - y[VY] * math.sin(y[CHI])
     turning = curvature * along / max(1 - y[N] * curvature * math.cos(bank), 0.1)
@@ -104,9 +105,9 @@ def loads_of(car: Car, road: Road, y: Array) -> tuple[float, float, float, float
 def _wheels(
     car: Car, road: Road, gear: int, closed: bool, y: Array, dy: Array
 ) -> tuple[float, float, float]:
-    """Force of all tires on the body along x and y [N] and moment about z [Nm].
+    """Return the tire forces on the body along x and y [N] and the moment about z [Nm].
 
-    Writes the rates of the wheels and of their slips.
+    The function also writes the rates of the wheels and their slips.
     """
     c, d = car.chassis[0], car.driveline[0]
     loads = loads_of(car, road, y)
@@ -117,7 +118,7 @@ def _wheels(
     for i in range(4):
         front = i < 2
         side = 1.0 if i % 2 == 0 else -1.0
-        # Where the wheel stands, and how its contact moves along it and across.
+        # Position of the wheel, and velocity along and across it.
         px = c.lf if front else -c.lr
         py = side * (c.half_track_front if front else c.half_track_rear)
         sin_d, cos_d = (sine, cosine) if front else (0.0, 1.0)
@@ -125,14 +126,14 @@ def _wheels(
         along, across = vx * cos_d + vy * sin_d, vy * cos_d - vx * sin_d
         omega = y[WHEELS + i]
         radius = c.radius_front if front else c.radius_rear
-        # Slips relax; near standstill they are damped, or the car would rock for ever.
+        # Slips with relaxation, and with damping near standstill.
         sliding = omega * radius - along
         dy[KAPPA + i] = _slip_rate(y[KAPPA + i], sliding, along, c.relaxation_x)
         dy[TAN_ALPHA + i] = _slip_rate(y[TAN_ALPHA + i], across, along, c.relaxation_y)
         damping = _damping(along)
         kappa = y[KAPPA + i] + damping * sliding
         alpha = math.atan(y[TAN_ALPHA + i] + damping * across)
-        # Forces of the tire, and what they and the brake do to the wheel.
+        # Forces of the tire, and torque on the wheel.
         long, lat = wheel_forces(car.tires[i], loads[i], kappa, alpha, along, road.friction)
         braking = on_front + c.rolling_torque_front if front else on_rear + c.rolling_torque_rear
         torque = against(braking, omega) - radius * long
@@ -140,7 +141,7 @@ def _wheels(
             dy[WHEELS + i] = torque / d.wheel_inertia
         else:
             rear = (torque, 0.0) if i == 2 else (rear[0], torque)
-        # The sum on the body.
+        # Sum over the wheels.
         wheel_x, wheel_y = long * cos_d - lat * sin_d, long * sin_d + lat * cos_d
         fx += wheel_x
         fy += wheel_y

@@ -1,4 +1,4 @@
-"""The true car of a simulation, which its controllers know only as far as it was identified."""
+"""The true car of a simulation; its controllers use identified models instead."""
 
 from __future__ import annotations
 
@@ -21,13 +21,28 @@ from miho.models.tir import load_tir
 
 
 def embedded_plant(vehicle: Vehicle, road: Road = PLANE, step: float = 1e-3) -> DoubleTrack:
-    """A vehicle with the embedded tires, engine and brake, from which the datasets are made."""
+    """Return a plant with the embedded tires, engine and brake, the origin of the datasets.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    road : Road, optional
+        The road, by default a plane.
+    step : float, optional
+        Integration step [s].
+
+    Returns
+    -------
+    DoubleTrack
+        The plant.
+    """
     return DoubleTrack(vehicle, embedded_tires(), embedded_engine(), EMBEDDED_BRAKE, road, step)
 
 
 @cache
 def embedded_tires() -> Tires:
-    """The four oval tires."""
+    """Return the four oval tires: front left, front right, rear left, rear right."""
     lf, rf, lr, rr = (_tire(name) for name in ("lf", "rf", "lr", "rr"))
     return lf, rf, lr, rr
 
@@ -38,7 +53,7 @@ def _tire(name: str) -> MagicFormula:
 
 @cache
 def embedded_engine() -> EngineMap:
-    """The closed form of the embedded engine, every 50 rpm and 2.5 % of throttle, without noise."""
+    """Return the map of the embedded engine, every 50 rpm and 2.5 % throttle, without noise."""
     throttle, omega = np.meshgrid(
         np.linspace(0, 1, 41), np.arange(1000, 7001, 50) * RPM, indexing="ij"
     )

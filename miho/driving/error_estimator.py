@@ -1,4 +1,4 @@
-"""Tracking errors from noisy sensors: a Kalman filter on the model of the path tracker."""
+"""Kalman filter of tracking errors, on the model of the path tracker."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from miho.driving.sensors import Sensors
 from miho.quantities import Array
 
 LATERAL, HEADING, YAW, RACK = 3.0, 0.1, 3.0, 0.1
-"""Standard deviations of what the linear model leaves out, white from one command to the next:
-lateral acceleration [m/s^2], rate of the heading [rad/s], yaw acceleration [rad/s^2] and rate of
-the rack [rad/s]. They are ours: of the size of the errors of the steady feed-forward in a swerve;
-without that of the heading the car of CommonRoad leaves its line by 0.34 m instead of 0.26 m."""
+"""Standard deviations of the process noise, white from one command to the next: lateral
+acceleration [m/s^2], heading rate [rad/s], yaw acceleration [rad/s^2] and rack rate [rad/s]. The
+values are chosen for this package, from errors of the steady feed-forward in a swerve. Without
+noise of the heading, the car of CommonRoad leaves its line by 0.34 m instead of 0.26 m."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorEstimator:
-    """Estimates x = [e_y, e_y', e_psi, e_psi', delta], each less its value in the steady turn.
+    """Estimator of x = [e_y, e_y', e_psi, e_psi', delta], relative to the steady turn.
 
-    x_next = F x + G u with F (k, 5, 5) and G (k, 5) of `SampledModel`, and the steady gains
-    L (k, 5, 5) of the Kalman filter whose measurements are all of x; at rising speeds (k,) [m/s],
-    linear between, held beyond. The filter is the corrected mode: the paper feeds Eq. 15 with the
-    errors as they are measured, whose noise of 0.2 degrees no steering rack follows.
+    x_next = F x + G u with F (k, 5, 5) and G (k, 5) of `SampledModel`. L (k, 5, 5) are the steady
+    gains of the Kalman filter, with measurements of all components of x. The matrices hold at
+    rising speeds (k,) [m/s], with linear interpolation and constant extrapolation.
+
+    The filter belongs to the corrected mode. The paper uses measured errors in Eq. 15, but no
+    steering rack can follow their noise of 0.2 degrees.
     """
 
     speeds: Array
@@ -35,7 +37,7 @@ class ErrorEstimator:
 
     @classmethod
     def of(cls, sampled: SampledModel, noise: Sensors, speeds: Array) -> ErrorEstimator:
-        """The filter for sensors with this noise.
+        """Return the filter for sensors with this noise.
 
         Parameters
         ----------
@@ -58,18 +60,20 @@ class ErrorEstimator:
         return cls(np.asarray(speeds, dtype=float), *map(np.array, zip(*rows, strict=True)))
 
     def correct(self, expected: Array, measured: Array, vx: float) -> Array:
-        """The estimate (5,) from the expected and the measured x at a speed [m/s]."""
+        """Return the estimate (5,) from the expected and the measured x at a speed [m/s]."""
         return np.asarray(expected + between(self.speeds, self.L, vx) @ (measured - expected))
 
     def predict(self, x: Array, u: float, vx: float) -> Array:
-        """x (5,) one period later. u [rad]: the command that reaches the rack, less the steering of
-        the steady turn."""
+        """Return x (5,) one period later.
+
+        u [rad] is the command that reaches the rack, minus the steering of the steady turn.
+        """
         F, G = (between(self.speeds, values, vx) for values in (self.F, self.G))
         return np.asarray(F @ x + G * u)
 
 
 def _measured(noise: Sensors, vx: float) -> Array:
-    """Covariance (5, 5) of a measurement of x: noise of the yaw is in e_y' and in e_psi."""
+    """Return the covariance (5, 5) of a measurement of x; yaw noise acts on e_y' and e_psi."""
     stds = (noise.position, noise.vy, noise.yaw, noise.yaw_rate, noise.steering)
     V = np.diag(np.maximum(stds, 1e-6)) ** 2
     yaw = noise.yaw**2

@@ -1,8 +1,8 @@
-"""How near to their limits the tires are, at a speed and acceleration on a bend and a bank.
+"""Use of the tires' friction at a speed and acceleration on a curved and banked road.
 
-An axle's friction ellipse has as half axes the sums of its tires' peaks at the loads they carry;
-the lateral force of an axle is the one that balances the yaw moment of a steady turn, so that the
-weaker axle is the limit of both. Induced drag and the tires' aligning moments are left out.
+The half axes of an axle's friction ellipse are the sums of its tires' peaks at their loads. The
+lateral forces of the axles balance the yaw moment of a steady turn, so the weaker axle limits the
+car. Induced drag and aligning moments of the tires are neglected.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from miho.driving.vehicle import Vehicle
 from miho.quantities import Array, g
 
 BISECTIONS = 40
-"""Halvings of 100 m/s or m/s^2 that leave 1e-10."""
+"""Number of bisections that reduce 100 m/s or m/s^2 to 1e-10."""
 
 
 class Demand(NamedTuple):
-    """What a speed on a line asks of the car, per mass [m/s^2].
+    """Demand of a speed on a line, per mass [m/s^2].
 
-    lateral: of the tires, along the surface and positive to the left; gravity: pressing the car
-    on the surface.
+    lateral is the demand on the tires along the surface, positive to the left. gravity presses the
+    car on the surface.
     """
 
     lateral: Array
@@ -35,7 +35,7 @@ class Demand(NamedTuple):
 
 
 def demand(v: ArrayLike, curvature: ArrayLike, bank: ArrayLike) -> Demand:
-    """The demand at speeds [m/s] on curvatures [1/m] in the plan and banks [rad]; broadcast."""
+    """Return the demand at speeds [m/s], plan curvatures [1/m] and banks [rad], broadcast."""
     turning = np.asarray(v, dtype=float) ** 2 * curvature
     return Demand(
         np.asarray(turning * np.cos(bank) - g * np.sin(bank)),
@@ -44,7 +44,7 @@ def demand(v: ArrayLike, curvature: ArrayLike, bank: ArrayLike) -> Demand:
 
 
 class FrictionCar(NamedTuple):
-    """What the limits depend on, in SI units; the arrays are those of `Grip`."""
+    """Numbers of a car for friction limits, in SI units; the arrays are fields of `Grip`."""
 
     loads: LoadCoefficients
     mass: float
@@ -64,7 +64,7 @@ class FrictionCar(NamedTuple):
 def friction_car(
     vehicle: Vehicle, grip: Grip, mu: float = 1.0, brake_front: float = 0.5, rolling: bool = True
 ) -> FrictionCar:
-    """The compiled functions' car; drag and rolling resistance are left out unless `rolling`."""
+    """Return the car for compiled functions, with drag and rolling resistance if `rolling`."""
     return FrictionCar(
         LoadTransfer(vehicle).coefficients, vehicle.mass, vehicle.lr / vehicle.wheelbase,
         brake_front, vehicle.C_d if rolling else 0.0, vehicle.C_r if rolling else 0.0, mu,
@@ -75,16 +75,16 @@ def friction_car(
 
 @part
 def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity: float) -> float:
-    """Use of the friction ellipse by the worse axle; above 1 it is beyond its limit.
+    """Return the use of the friction ellipse by the worse axle; above 1 exceeds the limit.
 
-    ax: acceleration [m/s^2] along the road; lateral, gravity: as in `Demand`.
+    ax is the acceleration along the road [m/s^2]; lateral and gravity are as in `Demand`.
     """
     force = car.mass * ax + car.C_d * v * v + car.C_r  # at the ground
     Fz = wheel_loads(car.loads, v, force / car.mass, lateral, gravity)
     peaks = car.left if lateral >= 0 else car.right
-    # The ellipse of an axle: its half axes are the sums of both tires' peaks at their loads, and
-    # the axle takes a share of the lateral force by the yaw moment, of the longitudinal force as
-    # the rear drives, or as the brake is balanced.
+    # Half axes of an axle's ellipse are the sums of its tires' peaks at their loads. Its share of
+    # the lateral force follows from the yaw moment, and of the longitudinal force from rear-wheel
+    # drive or the brake balance.
     worst = 0.0
     for axle in range(2):
         most_y, most_x = 1e-9, 1e-9
@@ -103,7 +103,7 @@ def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity:
 
 @part
 def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]:
-    """Lateral demand and gravity of `Demand` [m/s^2] at a single point, for compiled code."""
+    """Return lateral and gravity of `Demand` [m/s^2] at a single point, for compiled code."""
     turning = v * v * curvature
     lateral = turning * math.cos(bank) - g * math.sin(bank)
     return lateral, g * math.cos(bank) + turning * math.sin(bank)
@@ -111,16 +111,16 @@ def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]
 
 @part
 def use_on_line(car: FrictionCar, v: float, ax: float, curvature: float, bank: float) -> float:
-    """Use of the friction ellipse at a point of a line, by curvature [1/m] and bank [rad]."""
+    """Return the use of the friction ellipse at a curvature [1/m] and bank [rad]."""
     lateral, gravity = point_demand(v, curvature, bank)
     return float(friction_use(car, v, ax, lateral, gravity))
 
 
 @compiled
 def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
-    """Use of the friction ellipse, (n,), by a car whose accelerations were measured.
+    """Return the use of the friction ellipse, (n,), for measured accelerations.
 
-    ax and ay [m/s^2] as in `miho.driving.plant.Motion`, drag among the forces; gravity [m/s^2]
+    ax and ay [m/s^2] are as in `miho.driving.plant.Motion` and include drag. gravity [m/s^2]
     presses the car on the road.
     """
     use = np.empty(v.size)
@@ -133,10 +133,10 @@ def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Arra
 def limits_and_use(
     car: FrictionCar, v: Array, ax: Array, curvature: Array, bank: Array
 ) -> tuple[Array, Array]:
-    """The limit of the lateral demand [m/s^2] and the use of friction at each point, (n,) each.
+    """Return the limit of the lateral demand [m/s^2] and the use of friction, (n,) each.
 
-    At speeds v [m/s] and accelerations ax [m/s^2]. The limit is the largest magnitude, in the
-    direction in which the demand acts, that keeps the use at 1 or below.
+    The limit at speeds v [m/s] and accelerations ax [m/s^2] is the largest magnitude, in the
+    direction of the demand, with a use of at most 1.
     """
     limit, use = np.empty(v.size), np.empty(v.size)
     for i in range(v.size):

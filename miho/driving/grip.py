@@ -1,4 +1,4 @@
-"""How much force the tires can give: peaks over the load, as the planner knows them."""
+"""Largest forces of the tires over the load, for planning."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from miho.models.tire import Pacejka, PacejkaCurvature
 from miho.quantities import Array
 
 SLIP = np.linspace(-0.35, 0.35, 1401)
-"""Slip angles [rad] and slip ratios [-] among which the peaks are looked for."""
+"""Slip angles [rad] and slip ratios [-] of the search for peaks."""
 LOADS = (0.4, 0.7, 1.0, 1.4, 1.9)
-"""Loads over the nominal one at which the sensitivity of a tire is found."""
+"""Loads relative to the nominal load, for the sensitivity of a tire."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,25 @@ class Grip:
 
         peak(F_z) = mu (F_z / load) P (1 + q (F_z / load - 1))
 
-    load: nominal load [N]. left, right: P of the lateral force to the left, as in a left turn, and
-    to the right [N]; they differ by the offsets of the tires. drive: P along the wheel [N]. q, at
-    most 0 [-]: lateral_sensitivity and longitudinal_sensitivity; 0 is the load ratio of Eq. 10,
-    with which load transfer between equal tires costs nothing. mu [-] is the performance factor.
+    mu [-] is the performance factor. q = 0 gives the load ratio of Eq. 10, in which load transfer
+    between equal tires has no effect.
+
+    Parameters
+    ----------
+    load : ndarray, shape (4,)
+        Nominal load [N].
+    left, right : ndarray, shape (4,)
+        P of the lateral force to the left, as in a left turn, and to the right [N]. They differ by
+        the offsets of the tires.
+    drive : ndarray, shape (4,)
+        P along the wheel [N].
+    lateral_sensitivity, longitudinal_sensitivity : ndarray, shape (4,)
+        q of each direction [-], above -1 and at most 0.
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are invalid.
     """
 
     load: Array
@@ -54,9 +69,9 @@ class Grip:
     def of_tires(
         cls, tires: Sequence[MagicFormula], loads: ArrayLike, inclination: ArrayLike = 0.0
     ) -> Grip:
-        """The grip of full tires at nominal loads [N] and inclinations [rad], ISO-W, (4,) each.
+        """Return the grip of full tires at nominal loads [N] and inclinations [rad], ISO-W.
 
-        Each peak over load is fitted by least squares on a line between 0.4 and 1.9 nominal loads.
+        A line is fitted to the peaks divided by load between 0.4 and 1.9 nominal loads.
         """
         load = np.broadcast_to(np.asarray(loads, dtype=float), 4)
         lean = np.broadcast_to(np.asarray(inclination, dtype=float), 4)
@@ -82,10 +97,10 @@ class Grip:
         drive: float = 1.0,
         sensitivity: ArrayLike = 0.0,
     ) -> Grip:
-        """The grip of identified curves (Eq. 4), each at its nominal load [N], (4,).
+        """Return the grip of identified curves (Eq. 4), each at its nominal load [N], (4,).
 
-        drive: longitudinal over lateral peak [-]. sensitivity: q of both directions [-], which
-        curves at one load do not hold; broadcast to (4,).
+        drive is the ratio of the longitudinal to the lateral peak [-]. sensitivity is q of both
+        directions [-], broadcast to (4,); curves at one load do not determine it.
         """
         curves = [front.left, front.right, rear.left, rear.right]
         models = {len(model.parameters): model for model in (Pacejka(), PacejkaCurvature())}
@@ -97,7 +112,7 @@ class Grip:
 
 
 def _line(peaks: Array) -> Array:
-    """P and q of peaks over `LOADS`: P (1 + q (x - 1)) = peak / x, so that (2,) come out."""
+    """Return P and q, (2,), fitted to peaks at `LOADS`: P (1 + q (x - 1)) = peak / x."""
     x = np.array(LOADS)
     slope, level = np.polyfit(x - 1, peaks / x, 1)
     return np.array([level, slope / level])

@@ -1,6 +1,6 @@
-"""From a desired acceleration to throttle or brake force, compiled (Sec. IV-B, Fig. 3).
+"""Compiled conversion of a desired acceleration to throttle or brake force (Sec. IV-B, Fig. 3).
 
-The numbers are those of `Longitudinal.engine_torque` and `EngineMap.throttle`, for one speed.
+Results agree with `Longitudinal.engine_torque` and `EngineMap.throttle` at one speed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from miho.quantities import Array
 
 
 class PowertrainModel(NamedTuple):
-    """What is known of engine and driveline; names and units of `EngineMap` and `Vehicle`."""
+    """Engine and driveline of a controller; names and units of `EngineMap` and `Vehicle`."""
 
     openings: Array
     speeds: Array
@@ -31,8 +31,10 @@ class PowertrainModel(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """What an acceleration takes: engine torque [Nm] and the throttle nearest to it, from 0 to 1;
-    brake: force on top of the closed throttle's [N], negative where the engine must drive."""
+    """Engine torque [Nm], throttle from 0 to 1, and brake force [N] for an acceleration.
+
+    The brake force is in addition to the closed throttle, and negative if the engine must drive.
+    """
 
     torque: float
     throttle: float
@@ -40,7 +42,7 @@ class Effort(NamedTuple):
 
 
 def powertrain_model(vehicle: Vehicle, engine: EngineMap) -> PowertrainModel:
-    """The numbers of a vehicle with an engine map."""
+    """Return the numbers of a vehicle with an engine map."""
     drive = vehicle.longitudinal
     gears = np.arange(1, len(vehicle.gear_ratios) + 1)
     return PowertrainModel(
@@ -53,7 +55,7 @@ def powertrain_model(vehicle: Vehicle, engine: EngineMap) -> PowertrainModel:
 
 @compiled
 def effort(m: PowertrainModel, ax: float, vx: float, gear: int) -> Effort:
-    """What it takes to accelerate by ax [m/s^2] at a speed [m/s] in a gear, on level ground."""
+    """Return the effort of an acceleration ax [m/s^2] at a speed [m/s] in a gear, without grade."""
     lever = m.levers[gear - 1]
     inertia = m.engine_inertia * lever * ax  # torque that turns the engine faster
     force = m.rolling_mass * ax + m.C_d * vx * vx + m.C_r  # through the gears to the wheels

@@ -1,4 +1,4 @@
-"""What planner and controllers know of a car: the identified models, in one place."""
+"""The identified models of a car, for planner and controllers."""
 
 from __future__ import annotations
 
@@ -35,12 +35,25 @@ from miho.quantities import Array
 
 @dataclass(frozen=True, eq=False)
 class KnownCar:
-    """A vehicle with its tires, engine and brake as they are known, right or wrong.
+    """A vehicle with identified tires, engine and brake, which may differ from the true car.
 
-    front, rear: the axles' curves, at loads [N] (4,) of the wheels: front left, front right, rear
-    left, rear right. grip: the tires' largest forces, at the same loads. stiffness_sensitivity:
-    q_K of `LoadSensitivity` at those loads [-], (4,); if None the curves keep their shape, and it
-    is the sensitivity of the largest forces.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    front, rear : Axle
+        Curves of the axles at `loads`.
+    loads : ndarray, shape (4,)
+        Loads of the wheels [N]: front left, front right, rear left, rear right.
+    grip : Grip
+        Largest forces of the tires at `loads`.
+    engine : EngineMap
+        The engine.
+    brake : Brake
+        The brake.
+    stiffness_sensitivity : ndarray, shape (4,), optional
+        q_K of `LoadSensitivity` at `loads` [-]. By default the sensitivity of the largest forces,
+        so that curves keep their shape.
     """
 
     vehicle: Vehicle
@@ -54,9 +67,9 @@ class KnownCar:
 
     @classmethod
     def of_tires(cls, vehicle: Vehicle, tires: Tires, engine: EngineMap, brake: Brake) -> KnownCar:
-        """What there is to know of a car with these full tires: front left, right, rear likewise.
+        """Return the known car for exact full tires: front left, front right, rear left and right.
 
-        The curves have the tires' parameters at static load and inclination, not fitted ones.
+        The curves follow from the tires at static load and inclination, without a fit.
         """
         loads, lean = static_loads(vehicle), inclinations(vehicle)
         curves = []
@@ -71,7 +84,7 @@ class KnownCar:
 
     @property
     def loaded_axles(self) -> tuple[LoadedAxle, LoadedAxle]:
-        """Front and rear axle with the loads at which their curves hold."""
+        """Front and rear axle with the loads of their curves."""
         peak = self.grip.lateral_sensitivity
         stiffness = peak if self.stiffness_sensitivity is None else self.stiffness_sensitivity
         front, rear = (
@@ -81,26 +94,26 @@ class KnownCar:
         return front, rear
 
     def axles(self, vx: float) -> tuple[Axle, Axle]:
-        """Front and rear axle at the loads of straight running at a speed [m/s], on a plane."""
+        """Return both axles at the loads of straight driving at a speed [m/s] on a plane."""
         loads = np.array(LoadTransfer(self.vehicle).wheel_loads(vx))
         front, rear = self.loaded_axles
         return front.at(loads[:2]), rear.at(loads[2:])
 
     def planner(self, mu: float = 1.0, top_speed: float = 90.0) -> VelocityPlanner:
-        """The velocity planner for this car."""
+        """Return the velocity planner for this car."""
         return VelocityPlanner(self.vehicle, self.grip, self.engine, self.brake, mu, top_speed)
 
     def speed_controller(self, settings: SpeedSettings | None = None) -> SpeedController:
-        """The throttle and brake controller."""
+        """Return the throttle and brake controller."""
         settings = SpeedSettings() if settings is None else settings
         return SpeedController(self.vehicle, self.engine, self.brake, settings)
 
     def steering_controller(
         self, weights: Weights, period: float = 0.01, noise: Sensors | None = None
     ) -> SteeringController:
-        """The path tracker, with a command every `period` [s].
+        """Return the path tracker, with a command every `period` [s].
 
-        noise: of the sensors that it expects, by default that of `Sensors`.
+        noise is the assumed noise of the sensors, by default `Sensors()`.
         """
         car = self.vehicle
         axles = [self.axles(float(vx)) for vx in SPEEDS]
@@ -126,24 +139,24 @@ class KnownCar:
 
 
 def static_loads(vehicle: Vehicle) -> Array:
-    """Loads of the wheels of a car at rest [N], (4,): front left, front right, rear likewise."""
+    """Return the loads of the wheels at rest [N], (4,): front left, front right, rear likewise."""
     return np.array([float(load) for load in LoadTransfer(vehicle).wheel_loads(0.0)])
 
 
 def inclinations(vehicle: Vehicle) -> Array:
-    """ISO-W inclinations of the wheels [rad], (4,), in the same order."""
+    """Return the ISO-W inclinations of the wheels [rad], (4,), in the same order."""
     return np.repeat([vehicle.inclination_front, vehicle.inclination_rear], 2)
 
 
 def _axle_slip(axle: LoadedAxle, loads: Array) -> AxleSlip:
-    """The slip of an axle from its curve at loads (2,) [N], with the mean of its sensitivities."""
+    """Return the slip of an axle at loads (2,) [N], with the mean of its sensitivities."""
     peak, stiffness = axle.sensitivity.at_load(loads / axle.loads)
     mean = LoadSensitivity(float(np.mean(peak)), float(np.mean(stiffness)))
     return AxleSlip.of(axle.at(loads), float(loads.sum()), mean)
 
 
 def _stiffness_sensitivity(tire: MagicFormula, load: float, inclination: float) -> float:
-    """q_K of a full tire at a load [N], fitted by least squares between 0.4 and 1.9 of it."""
+    """Return q_K of a full tire at a load [N], fitted between 0.4 and 1.9 times the load."""
     x = np.array(LOADS)
     curve = simplify(tire, load * x, inclination)
     slope, level = np.polyfit(x * x - 1, x / (curve.B * curve.C * curve.D), 1)

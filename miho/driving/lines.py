@@ -1,4 +1,4 @@
-"""Lines beside a line: racing lines, lanes and swerves, as tracks of their own."""
+"""Lines at an offset from a line: racing lines, lanes and swerves, as tracks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from miho.quantities import Array
 
 
 class Offset(NamedTuple):
-    """An offset e [m] over the arc length of a line, left positive, with e' [-] and e'' [1/m]."""
+    """An offset e [m] along a line, positive to the left, with e' [-] and e'' [1/m]."""
 
     e: Array
     slope: Array
@@ -23,7 +23,7 @@ class Offset(NamedTuple):
 
 
 def constant(e: float) -> Callable[[Array], Offset]:
-    """The same offset [m] everywhere, as `beside` takes it."""
+    """Return a constant offset [m] for `beside`."""
 
     def offset(s: Array) -> Offset:
         return Offset(np.full_like(s, e), np.zeros_like(s), np.zeros_like(s))
@@ -32,15 +32,15 @@ def constant(e: float) -> Callable[[Array], Offset]:
 
 
 def beside(track: Track, offset: Callable[[Array], Offset], name: str | None = None) -> Track:
-    """The line at an offset from `track`, with its own arc length, heading and curvature.
+    """Return the line at an offset from `track`, with new arc length, heading and curvature.
 
-    `offset` is called with arc lengths of the track (m,) [m] and must join up after a lap. The
-    curvature is that of x'' where primes are by the track's arc length:
+    `offset` is called with arc lengths of the track (m,) [m] and must be periodic over a lap. With
+    derivatives by the arc length of the track, the curvature is
 
         kappa = (u (u kappa_0 + e'') + e' (kappa_0' e + 2 kappa_0 e')) / (u^2 + e'^2)^(3/2),
         u = 1 - kappa_0 e
 
-    Raises ValueError where the line leaves the road or the offset reaches the centre of a bend.
+    Raises ValueError if the line leaves the road, or if the offset reaches the centre of a bend.
     """
     fine = np.linspace(0.0, track.length, 4 * track.s.size + 1)
     length = cumulative_simpson(_stretch(track, offset, fine), x=fine, initial=0.0)
@@ -61,7 +61,7 @@ def beside(track: Track, offset: Callable[[Array], Offset], name: str | None = N
 
 
 def _stretch(track: Track, offset: Callable[[Array], Offset], s: Array) -> Array:
-    """Length of the line beside a track per length of the track [-]."""
+    """Return the length of the offset line per length of the track [-]."""
     e, slope, _ = offset(s)
     u = 1 - track.at(s).curvature * e
     if u.min() <= 0.05:

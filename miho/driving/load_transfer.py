@@ -1,15 +1,15 @@
-"""Loads of the four wheels in a manoeuvre, quasi-static (Sec. IV-A).
+"""Quasi-static loads of the four wheels in a manoeuvre (Sec. IV-A).
 
 The lateral load transfer of an axle has three parts (Milliken and Milliken, Race Car Vehicle
 Dynamics, 1995, Ch. 18; Seward, Race Car Design, 2017, Ch. 5):
 
     elastic    lambda m_s a_y h_a / t      through springs and bars, split by roll stiffness
     geometric  m_s,axle a_y z / t          through the suspension's links, at the roll centre
-    unsprung   m_u a_y R / t               of the wheels themselves
+    unsprung   m_u a_y R / t               of the unsprung masses
 
 with the sprung mass m_s, its height h_a above the roll axis, roll-centre height z, track t and
 wheel radius R. Together they balance the moment m a_y h of the whole car. The small shift of the
-centre of gravity as the body rolls is left out.
+centre of gravity in roll is neglected.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class LateralTransfer(NamedTuple):
 
 
 class LoadCoefficients(NamedTuple):
-    """What the loads are linear in; masses [kg], downforce [N s^2/m^2]."""
+    """Coefficients of the loads: masses [kg] and downforce [N s^2/m^2]."""
 
     mass_front: float  # carried by the axle at rest
     mass_rear: float
@@ -56,10 +56,15 @@ class LoadCoefficients(NamedTuple):
 
 @dataclass(frozen=True)
 class LoadTransfer:
-    """The loads of a vehicle's wheels.
+    """Loads of a vehicle's wheels.
 
-    `as_printed` is the paper's: the roll couple m_s v_y' h_a alone, with the rate of the lateral
-    velocity, which is zero in steady cornering, and neither longitudinal transfer nor downforce.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    as_printed : bool, optional
+        Use the printed equation: the roll couple m_s v_y' h_a only, with the rate of the lateral
+        velocity, which is zero in steady cornering, without longitudinal transfer and downforce.
     """
 
     vehicle: Vehicle
@@ -73,14 +78,28 @@ class LoadTransfer:
         vy_rate: ArrayLike = 0.0,
         gravity: ArrayLike = g,
     ) -> WheelLoads:
-        """Loads [N] for inputs that broadcast.
+        """Return the loads for inputs that broadcast.
 
-        vx: speed [m/s]. ax, ay: forces other than weight, per mass, as an accelerometer feels them
-        [m/s^2]; on a flat road ay is v_y' + v_x r, on a bank g sin(bank) less. vy_rate: v_y'
-        [m/s^2], read only as printed. gravity: what presses the car on the road [m/s^2]; on a bank
-        g cos(bank) + v^2 kappa sin(bank) with the curvature kappa in the plan.
+        If a wheel lifts, it carries 0 and the other wheel of the axle carries all; an axle that
+        lifts carries 0.
 
-        A wheel that lifts carries 0 and the axle's other wheel all; an axle that lifts carries 0.
+        Parameters
+        ----------
+        vx : array_like
+            Speed [m/s].
+        ax, ay : array_like, optional
+            Forces other than weight, per mass [m/s^2], as measured by an accelerometer. On a flat
+            road, ay is v_y' + v_x r; on a bank, it is smaller by g sin(bank).
+        vy_rate : array_like, optional
+            v_y' [m/s^2], used only with `as_printed`.
+        gravity : array_like, optional
+            Acceleration that presses the car on the road [m/s^2]; on a bank
+            g cos(bank) + v^2 kappa sin(bank), with the curvature kappa in the plan.
+
+        Returns
+        -------
+        WheelLoads
+            Loads [N], at least 0.
         """
         vx, ax, ay, vy_rate, gravity = np.broadcast_arrays(
             *(np.asarray(value, dtype=float) for value in (vx, ax, ay, vy_rate, gravity))
@@ -90,7 +109,7 @@ class LoadTransfer:
 
     @property
     def lateral_parts(self) -> tuple[LateralTransfer, LateralTransfer]:
-        """The parts of the lateral transfer, front and rear axle."""
+        """Parts of the lateral transfer, front and rear axle."""
         car = self.vehicle
         unsprung = car.unsprung_mass_front, car.unsprung_mass_rear
         radii = car.wheel_radius_front, car.wheel_radius
@@ -98,7 +117,7 @@ class LoadTransfer:
         centres = car.roll_centre_front, car.roll_centre_rear
         moments = [m * z for m, z in zip(sprung, centres, strict=True)]
         hubs = [m * r for m, r in zip(unsprung, radii, strict=True)]
-        # m_s h_a: what is left of the whole moment, which the three parts balance.
+        # m_s h_a is the rest of the total moment, which the three parts balance.
         couple = car.mass * car.h_cg - sum(moments) - sum(hubs)
         shares = car.roll_share_front, 1 - car.roll_share_front
         tracks = car.track_front, car.track_rear
@@ -110,7 +129,7 @@ class LoadTransfer:
 
     @property
     def coefficients(self) -> LoadCoefficients:
-        """What `wheel_loads` computes with."""
+        """Coefficients for `wheel_loads`."""
         car, carried, (front, rear) = self.vehicle, self._carried, self.lateral_parts
         if self.as_printed:
             return LoadCoefficients(*carried, 0.0, 0.0, 0.0, front.elastic, rear.elastic)
@@ -121,14 +140,14 @@ class LoadTransfer:
 
     @property
     def _carried(self) -> tuple[float, float]:
-        """Mass that each axle carries at rest [kg]."""
+        """Mass on each axle at rest [kg]."""
         car = self.vehicle
         return car.mass * car.lr / car.wheelbase, car.mass * car.lf / car.wheelbase
 
 
 @part
 def wheel_loads(c: LoadCoefficients, vx: Any, ax: Any, ay: Any, gravity: Any) -> tuple[Any, ...]:
-    """Loads of the wheels in the order of `WheelLoads`, of numbers or arrays, compiled or not."""
+    """Return loads in the order of `WheelLoads`, for numbers or arrays, compiled or not."""
     air = vx * vx
     front = np.maximum(c.mass_front * gravity + c.C_l_front * air - c.longitudinal * ax, 0.0) / 2
     rear = np.maximum(c.mass_rear * gravity + c.C_l_rear * air + c.longitudinal * ax, 0.0) / 2

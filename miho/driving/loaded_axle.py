@@ -1,4 +1,4 @@
-"""An axle whose tires are known at one load each, at the loads that act on it."""
+"""An axle with tire curves at one load each, transferred to other loads."""
 
 from __future__ import annotations
 
@@ -13,15 +13,21 @@ from miho.models.load_scaling import LoadSensitivity, at_load
 from miho.quantities import Array
 
 ITERATIONS = 60
-"""Of the force and the load transfer it causes; each leaves less than half of the error."""
+"""Fixed-point iterations of force and load transfer; each halves the error or better."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedAxle:
-    """The curves of two tires with the loads at which they hold.
+    """Curves of two tires with the loads at which they were identified.
 
-    axle: the curves. loads [N], (2,): of the left and the right wheel, at which they were
-    identified. sensitivity: of each tire at that load, (2,) each, or numbers for both.
+    Parameters
+    ----------
+    axle : Axle
+        The curves.
+    loads : ndarray, shape (2,)
+        Loads of the curves of the left and the right wheel [N].
+    sensitivity : LoadSensitivity
+        Sensitivity of each tire at its load, (2,) each, or numbers for both.
     """
 
     axle: Axle
@@ -29,21 +35,21 @@ class LoadedAxle:
     sensitivity: LoadSensitivity
 
     def at(self, loads: ArrayLike) -> Axle:
-        """The axle at loads [N] of the left and the right wheel, (2,)."""
+        """Return the axle at loads [N] of the left and the right wheel, (2,)."""
         left, right = (self._curve(side, load) for side, load in enumerate(np.asarray(loads)))
         return Axle(left, right)
 
     def in_turn(self, alpha: ArrayLike, load: float, transfer: float) -> Array:
-        """The axle's lateral force in steady turns, with the load transfer that it causes.
+        """Return the lateral force of the axle in steady turns, including load transfer.
 
         Parameters
         ----------
         alpha : array_like
             Slip angles [rad], ISO-W.
         load : float
-            Of both wheels [N].
+            Load of both wheels [N].
         transfer : float
-            Load that moves from the left to the right wheel per lateral force [-], at least 0; see
+            Load transfer from the left to the right wheel per lateral force [-], at least 0; see
             `transfer_per_force`.
 
         Returns
@@ -54,7 +60,7 @@ class LoadedAxle:
         Raises
         ------
         ValueError
-            If force and loads do not agree after `ITERATIONS`.
+            If force and loads do not converge in `ITERATIONS`.
         """
         slip = np.asarray(alpha, dtype=float)
         force = self.at([load / 2, load / 2]).force(slip)
@@ -63,13 +69,13 @@ class LoadedAxle:
             before, force = force, self._force(slip, load / 2 - moved, load / 2 + moved)
         if not np.allclose(force, before, rtol=0.0, atol=1e-6 * load):
             raise ValueError(
-                f"transfer is {transfer:g}; expected a load transfer so small that the tires' "
-                "forces settle"
+                f"transfer is {transfer:g}; expected a smaller load transfer, for which forces and "
+                "loads converge"
             )
         return force
 
     def _force(self, slip: Array, left: Array, right: Array) -> Array:
-        """Sum of both tires at loads [N] of the shape of the slip angles."""
+        """Return the sum of both tires at loads [N] of the same shape as the slip angles."""
         total = np.zeros(slip.shape)
         for side, load in enumerate((left, right)):
             theta = self._curve(side, load)
@@ -84,9 +90,9 @@ class LoadedAxle:
 
 
 def transfer_per_force(transfer: LoadTransfer) -> tuple[float, float]:
-    """Load that moves between the wheels of the front and the rear axle per its lateral force [-].
+    """Return the load transfer of the front and the rear axle per lateral force [-].
 
-    In a steady turn an axle bears the lateral force of the mass that it carries at rest.
+    In a steady turn, the lateral force of an axle belongs to the mass that it carries at rest.
     """
     c = transfer.coefficients
     return c.lateral_front / c.mass_front, c.lateral_rear / c.mass_rear

@@ -1,4 +1,4 @@
-"""A local plan: a path around obstacles and back to the line (Sec. V-B.1)."""
+"""Local plans: paths around obstacles and back to the line (Sec. V-B.1)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from miho.validate import positive, positive_settings
 
 
 class NoPathError(ValueError):
-    """There is no path around the obstacles: a car must stop."""
+    """Error if there is no path around the obstacles, so that the car must stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Obstacle:
-    """A box along a line: its middle at the arc length s and the offset e (left positive) [m]."""
+    """A box along a line, centred at the arc length s and the offset e (left positive) [m]."""
 
     s: float
     e: float
@@ -36,11 +36,11 @@ class Obstacle:
 
 @dataclass(frozen=True, kw_only=True)
 class Swerve:
-    """An offset from a line of length `lap`: out to e over one stretch, and back over another.
+    """A temporary offset from a line of length `lap`.
 
-    It rises from `start` over `out` [m] to e [m], stays for `stay` and returns over `back`. Each of
-    the two is made of clothoids, whose bend rises and falls in proportion to the way: it is the
-    swerve of this length for which the steering has to turn least fast.
+    The offset rises over `out` [m] from `start` to e [m], is constant for `stay` and returns to 0
+    over `back`. Both transitions consist of clothoids, with piecewise linear curvature. For a given
+    length, they need the smallest steering rate.
     """
 
     lap: float
@@ -51,7 +51,7 @@ class Swerve:
     e: float
 
     def __call__(self, s: Array) -> Offset:
-        """The offset at arc lengths (m,) of the line, as `beside` takes it."""
+        """Return the offset at arc lengths (m,) of the line, for `beside`."""
         since = np.mod(s - self.start, self.lap)
         rising = np.clip(since / self.out, 0, 1)
         falling = np.clip((since - self.out - self.stay) / self.back, 0, 1)
@@ -63,7 +63,7 @@ class Swerve:
 
 
 def _clothoids(t: Array, length: float) -> tuple[Array, Array, Array]:
-    """From 0 to 1 over t from 0 to 1, and the first two derivatives by t * length.
+    """Return a transition from 0 to 1 for t from 0 to 1, and two derivatives by t * length.
 
     The second derivative is linear from 0 to 8 at t = 1/4, to -8 at 3/4 and to 0 at 1.
     """
@@ -78,12 +78,22 @@ def _clothoids(t: Array, length: float) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, kw_only=True)
 class LocalPlanner:
-    """Paths for a car of a length and width [m].
+    """Planner of paths around obstacles.
 
-    clearance [m]: kept beside an obstacle; edge [m]: kept from the road's edges; ahead [m]: the
-    car is beside the obstacle for so long before and after it; out, back [m]: the longest stretch
-    in which the path leaves the line, and the one over which it returns; candidates lie `spacing`
-    [m] apart.
+    Parameters
+    ----------
+    length, width : float
+        Size of the car [m].
+    clearance : float
+        Lateral distance from an obstacle [m].
+    edge : float
+        Distance from the edges of the road [m].
+    ahead : float
+        Distance before and after an obstacle over which the full offset is kept [m].
+    out, back : float
+        Largest length of the transition from the line, and length of the return [m].
+    spacing : float
+        Distance of candidate offsets [m].
     """
 
     length: float = 4.9
@@ -99,15 +109,15 @@ class LocalPlanner:
         positive_settings(self, [field.name for field in fields(self)], "[m]")
 
     def path(self, line: Track, obstacles: Sequence[Obstacle], now: float) -> Track:
-        """The line with the smallest offset that passes all obstacles, from `now` [m] on.
+        """Return the line with the smallest offset that avoids all obstacles, from `now` [m].
 
-        The car is on the line at `now` and has to be beside the first obstacle when it reaches it.
-        Raises NoPathError where no offset clears the obstacles and stays on the road.
+        The car is on the line at `now`, and must have the full offset at the first obstacle. Raises
+        NoPathError if no offset avoids the obstacles and stays on the road.
         """
         if not obstacles:
             return line
-        # The offset is reached half a car's length before the first obstacle, and kept until as far
-        # behind the last one: distances [m] ahead of the car.
+        # Distances [m] ahead of the car between which the full offset is kept: half a car length
+        # and `ahead` before the first obstacle and after the last one.
         room = (self.length / 2 + self.ahead) * np.array([-1.0, 1.0])
         distances = [(obstacle.s - now) % line.length for obstacle in obstacles]
         first = min(d - o.length / 2 for d, o in zip(distances, obstacles, strict=True)) + room[0]
@@ -131,12 +141,12 @@ class LocalPlanner:
             if all(self._clear(swerve, obstacle) for obstacle in obstacles):
                 return beside(line, swerve)
         raise NoPathError(
-            f"no path between {-right:.2f} and {left:.2f} m beside the line passes the obstacle at "
-            f"s = {obstacles[0].s:.1f} m with {self.clearance:g} m to spare"
+            f"no path with an offset between {-right:.2f} and {left:.2f} m passes the obstacle at "
+            f"s = {obstacles[0].s:.1f} m with a clearance of {self.clearance:g} m"
         )
 
     def _clear(self, swerve: Swerve, obstacle: Obstacle) -> bool:
-        """Whether the car keeps its distance wherever it is beside the obstacle."""
+        """Return whether the car keeps the clearance along the whole obstacle."""
         reach = (self.length + obstacle.length) / 2
         beside_it = obstacle.s + np.linspace(-reach, reach, 41)
         apart = np.abs(swerve(beside_it).e - obstacle.e)

@@ -1,10 +1,10 @@
-"""Plant 2: the multi-body model of CommonRoad, which nobody here wrote.
+"""Plant 2: the multi-body model of CommonRoad, an independent implementation.
 
-29 states: a sprung body on two axles that roll and heave, compliant joints, a Magic Formula of its
-own (Althoff, Koschi and Manzinger, CommonRoad: Composable benchmarks, IV 2017; after Allen et al.,
-DOT HS 807 700, 1992). Its tires have no load sensitivity and it has neither downforce nor banking
-nor an engine: it tests the path tracker, not what is planned with load transfer. It needs the
-package commonroad-vehicle-models.
+The model has 29 states: a sprung body on two axles with roll and heave, compliant joints, and a
+Magic Formula (Althoff, Koschi and Manzinger, CommonRoad: Composable benchmarks, IV 2017; after
+Allen et al., DOT HS 807 700, 1992). Its tires have no load sensitivity, and it has no downforce,
+banking or engine. It therefore tests the path tracker, not planning with load transfer. It needs
+the package commonroad-vehicle-models.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from miho.quantities import Array
 KINDS = (1, 2, 3)
 """CommonRoad's cars: Ford Escort, BMW 320i, VW Vanagon."""
 GRAVITY = 9.81
-"""As the model has it [m/s^2]."""
+"""Gravity of the model [m/s^2]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MultiBodyState:
-    """x: the model's 29 states; steering: commands on their way; felt: a_x, a_y [m/s^2]."""
+    """State of a `MultiBody`: 29 states x, delayed steering commands, and a_x, a_y [m/s^2]."""
 
     time: float
     x: tuple[float, ...]
@@ -52,12 +52,32 @@ class MultiBodyState:
 class MultiBody(Plant[MultiBodyState]):
     """A car of CommonRoad on flat ground, with the actuators of `vehicle`.
 
-    The model is driven by a steering rate and an acceleration. Steering has the delay, lag and
-    rate of `vehicle`. Throttle, gear and brake act at once with the driveline, brake and drag of
-    `vehicle` on the model's own mass; the model limits the acceleration (11.5 m/s^2, and above
-    7.3 m/s less when driving). Controllers know it as `own_vehicle` and `axles`. road: where it
-    starts, and its friction, which scales the peaks of the tires; its bank is not felt. step: of
-    the Runge-Kutta integration of fourth order [s].
+    The inputs of the model are a steering rate and an acceleration. Steering has the delay, lag
+    and rate of `vehicle`. Throttle, gear and brake act without delay, by the driveline, brake and
+    drag of `vehicle` on the mass of the model. The model limits the acceleration (11.5 m/s^2, and
+    less above 7.3 m/s when driving). Controllers use `own_vehicle` and `axles`.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Actuators, driveline and drag.
+    engine : EngineMap
+        The engine.
+    brake : Brake
+        The brake.
+    kind : {1, 2, 3}, optional
+        CommonRoad's car: Ford Escort, BMW 320i or VW Vanagon.
+    road : Road, optional
+        Line of the start, and friction that scales the peaks of the tires; the bank has no effect.
+    step : float, optional
+        Step of the fourth-order Runge-Kutta integration [s], at most 1e-3.
+
+    Raises
+    ------
+    ValueError
+        If `kind` or `step` is invalid.
+    ImportError
+        If commonroad-vehicle-models is not installed.
     """
 
     vehicle: Vehicle
@@ -82,7 +102,7 @@ class MultiBody(Plant[MultiBodyState]):
 
     @cached_property
     def parameters(self) -> Any:
-        """The model's own parameters, in SI units under its own names."""
+        """Parameters of the model, in SI units with the names of CommonRoad."""
         module = import_module("vehiclemodels.vehicle_parameters")
         return _plain(module.setup_vehicle_parameters(vehicle_id=self.kind))
 
@@ -108,7 +128,7 @@ class MultiBody(Plant[MultiBodyState]):
     def axles(self) -> tuple[Axle, Axle]:
         """Front and rear axle at rest, from the model's lateral tire formula; ISO-W.
 
-        Its D and its stiffness are proportional to the load, and its shifts vanish without camber.
+        D and the stiffness are proportional to the load, and shifts vanish without camber.
         """
         p, tire = self.parameters, self.parameters.tire
         curves = []
@@ -121,7 +141,7 @@ class MultiBody(Plant[MultiBodyState]):
     def start(
         self, s: float = 0.0, offset: float = 0.0, speed: float = 0.0, gear: int = 1
     ) -> MultiBodyState:
-        """As in `Plant`."""
+        """See `Plant.start`."""
         if not all(map(math.isfinite, (s, offset, speed))):
             raise ValueError(f"start is ({s}, {offset}, {speed}); expected finite numbers")
         Command(gear=gear).check(len(self.vehicle.gear_ratios))
@@ -132,7 +152,7 @@ class MultiBody(Plant[MultiBodyState]):
         return MultiBodyState(0.0, tuple(map(float, at)), waiting, gear, 0.0, 0.0, (0.0, 0.0))
 
     def advance(self, state: MultiBodyState, command: Command, duration: float) -> MultiBodyState:
-        """As in `Plant`; also raises ValueError where the model divides by zero, in a spin."""
+        """See `Plant.advance`; also raises ValueError if the model divides by zero in a spin."""
         count = steps_of(duration, self.step)
         command.check(len(self.vehicle.gear_ratios))
         x, waiting, slope = np.array(state.x), list(state.steering), np.zeros(len(state.x))
@@ -147,8 +167,8 @@ class MultiBody(Plant[MultiBodyState]):
                 k4 = self._slope(x + self.step * k3, *inputs)
             except ArithmeticError:
                 raise ValueError(
-                    f"the multi-body model has no motion at {state.time:.2f} s and {x[3]:.3g} m/s; "
-                    "drive slower in turns"
+                    f"the multi-body model divides by zero at {state.time:.2f} s and "
+                    f"{x[3]:.3g} m/s; drive more slowly in turns"
                 ) from None
             x = x + self.step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             x[23:27] = np.maximum(x[23:27], 0.0)
@@ -159,9 +179,9 @@ class MultiBody(Plant[MultiBodyState]):
         )  # fmt: skip
 
     def motion(self, state: MultiBodyState) -> Motion:
-        """As in `Plant`; wheel loads are those of the tires' vertical springs.
+        """See `Plant.motion`; wheel loads are forces of the tires' vertical springs.
 
-        The wheels that the model calls left are the outer ones in a left turn: our right.
+        The model's left wheels are the outer wheels of a left turn, which are right wheels here.
         """
         x, p = state.x, self.parameters
         omega = self._engine_speed(x[3], state.gear)
@@ -193,7 +213,7 @@ class MultiBody(Plant[MultiBodyState]):
         return max(vx * ratio / v.wheel_radius, v.idle_speed)
 
     def _pull(self, command: Command) -> Callable[[float], float]:
-        """Acceleration under a command [m/s^2] over the speed [m/s]."""
+        """Return the acceleration [m/s^2] of a command as a function of the speed [m/s]."""
         v, gear = self.vehicle, int(command.gear)
         braking = float(self.brake.force_of_pressure(command.brake)) + v.C_r
         inertia, lever = float(self.parameters.m), 0.0
@@ -212,7 +232,7 @@ class MultiBody(Plant[MultiBodyState]):
 
 
 def _plain(node: Any) -> Any:
-    """Settings as plain objects: the library's own cost ten times the model at each access."""
+    """Return settings as plain objects, because access to the library's objects is slow."""
     if not isinstance(node, Mapping):
         return node
     return SimpleNamespace(**{str(name): _plain(value) for name, value in node.items()})

@@ -1,4 +1,4 @@
-"""What a drive came to: errors, limits, clearance, and what the printed equations would plan."""
+"""Results of a drive: errors, limits, clearance, and plans of the printed equations."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ from miho.driving.velocity_as_printed import PrintedPlanner
 from miho.driving.velocity_planner import VelocityPlanner, front_share
 
 CAR_LENGTH, CAR_WIDTH = 4.9, 1.93
-"""Of the AV-21 [m]."""
+"""Size of the AV-21 [m]."""
 EVERY = 5
-"""Of the rows of a drive every fifth, at 100 Hz some 3 m apart, is looked up on the road."""
+"""Step of the rows that are projected on the road; at 100 Hz they are about 3 m apart."""
 
 
 class Clearance(NamedTuple):
-    """Distances [m] of the car's sides from the left and the right edge of the road, negative
-    beyond it, with the rows of the drive they belong to; (k,) each."""
+    """Distances [m] of the car's sides from the left and the right edge of the road, (k,) each.
+
+    Distances are negative outside the road. `rows` are the rows of the drive.
+    """
 
     rows: np.ndarray
     left: np.ndarray
@@ -34,7 +36,7 @@ class Clearance(NamedTuple):
 
     @classmethod
     def of(cls, drive: Drive, road: Track) -> Clearance:
-        """The clearance of a car along a drive; the road is that of the plant."""
+        """Return the clearance of a car along a drive on the road of the plant."""
         rows = np.arange(0, len(drive), EVERY)
         edges, hint = np.empty((2, rows.size)), None
         for i, (x, y) in enumerate(zip(drive["x"][rows], drive["y"][rows], strict=True)):
@@ -52,8 +54,11 @@ class Clearance(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """How a car left its road: when [s] and after how many metres a side of it first crossed an
-    edge, on which side of the road, and how far beyond the edge it came [m]."""
+    """Departure of a car from its road.
+
+    time [s] and distance [m] at which a side of the car first crossed an edge, the side of the
+    road, and the largest distance outside the edge [m].
+    """
 
     time: float
     distance: float
@@ -68,7 +73,7 @@ class Departure(NamedTuple):
 
 
 def departure(drive: Drive, clearance: Clearance) -> Departure | None:
-    """How the car left the road; None if it did not."""
+    """Return the departure of the car from the road, None if it stayed on the road."""
     outside = np.flatnonzero(clearance.least < 0)
     if not outside.size:
         return None
@@ -85,7 +90,7 @@ def departure(drive: Drive, clearance: Clearance) -> Departure | None:
 def outcome_table(
     drive: Drive, driver: Driver, clearance: Clearance, road_friction: float = 1.0
 ) -> dict[str, float | str]:
-    """Largest errors and uses of a drive on a road of this friction."""
+    """Return the largest errors and uses of a drive on a road with this friction, by name."""
     e_psi = float(np.degrees(np.abs(drive["e_psi"]).max()))
     error = drive["vx"] - drive["v_des"]
     table: dict[str, float | str] = {
@@ -114,8 +119,10 @@ def outcome_table(
 
 
 class Excess(NamedTuple):
-    """How a car used more than the planned friction: for how long in all [s], when first [s] and
-    after how many metres, and the largest use, above 1 [-]."""
+    """Use of more than the planned friction.
+
+    Total duration [s], time [s] and distance [m] of the first excess, and the largest use [-].
+    """
 
     duration: float
     time: float
@@ -130,7 +137,7 @@ class Excess(NamedTuple):
 
 
 def excess(drive: Drive, use: np.ndarray) -> Excess | None:
-    """The excess in a use of friction (N,), of which 1 is the limit; None without any."""
+    """Return the excess of a use of friction (N,) above 1, None if there is none."""
     beyond = np.flatnonzero(use > 1)
     if not beyond.size:
         return None
@@ -144,16 +151,15 @@ def excess(drive: Drive, use: np.ndarray) -> Excess | None:
 
 
 def planned_use(drive: Drive, driver: Driver) -> np.ndarray:
-    """Use of the friction that was planned with, (N,), in steady terms by the driven motion.
+    """Return the quasi-static use of the planned friction by the driven motion, (N,).
 
-    Above 1 the car does more than the performance factor of Eq. 10 allows the plan to ask for, as
-    far as the tires are known.
+    Above 1, the car exceeds the performance factor of Eq. 10, by the identified tires.
     """
     return _use(drive, driver.plan.friction)
 
 
 def true_use(drive: Drive, driver: Driver, road_friction: float = 1.0) -> np.ndarray:
-    """Use of the true tires' friction in steady terms, (N,); above 1 an axle would slide."""
+    """Return the quasi-static use of the true tires' friction, (N,); above 1 an axle slides."""
     vehicle = driver.speed.vehicle
     grip = Grip.of_tires(embedded_tires(), static_loads(vehicle), inclinations(vehicle))
     return _use(drive, friction_car(vehicle, grip, road_friction, front_share(driver.speed.brake)))
@@ -171,14 +177,14 @@ BANDS = (
     ("above 144 km/h", 40.0, math.inf),
     ("151 to 187 km/h", 42.0, 52.0),
 )
-"""Speeds [m/s] whose errors the paper looks at apart (Sec. V-B.2), by the driven speed."""
+"""Bands of the driven speed [m/s] that the paper evaluates separately (Sec. V-B.2)."""
 
 
 def speed_bands(drive: Drive) -> list[dict[str, float | str]]:
-    """Error of the speed, driven less desired, in each of `BANDS` that was driven in.
+    """Return the error of the speed, driven minus desired, in each of `BANDS` that occurs.
 
-    Of the throttle the mean, and the share of the time above 40 %, where the paper's engine map is
-    from the dynamometer alone.
+    Rows also have the mean throttle, and the share of time above 40 % throttle, for which the
+    paper's engine map uses dynamometer data only.
     """
     vx, error, throttle = drive["vx"], drive["vx"] - drive["v_des"], drive["u_throttle"]
     step = np.gradient(drive["time"])
@@ -201,10 +207,10 @@ def speed_bands(drive: Drive) -> list[dict[str, float | str]]:
 
 
 def gap(drive: Drive, driver: Driver) -> float:
-    """Least distance [m] between the boxes of car and obstacle, negative in a collision.
+    """Return the least distance [m] between the boxes of car and obstacle, negative in a collision.
 
-    Along the line that the car would drive without the obstacle; the car's box is the one that
-    holds it as it is turned to that line.
+    Boxes are aligned with the line of the plan without the obstacle; the box of the car contains
+    the rotated car.
     """
     if driver.sighting is None:
         raise ValueError("the driver has no obstacle; expected a sighting")
@@ -227,10 +233,10 @@ def gap(drive: Drive, driver: Driver) -> float:
 
 
 def plans(driver: Driver, start: float) -> dict[str, float | str]:
-    """The least speeds [km/h] that the planners give on the path around the obstacle.
+    """Return the least speeds [km/h] of the planners on the path around the obstacle.
 
-    start: arc length [m] at which the drive begins. The avoidance is planned without top speed and
-    reserve, at the point at which the obstacle is seen, so that the tires alone are the limit.
+    start is the arc length of the start of the drive [m]. The avoidance is planned from the point
+    at which the obstacle is seen, without top speed and reserve, so only the tires limit it.
     """
     sighting = driver.sighting
     if sighting is None:
@@ -263,5 +269,5 @@ def plans(driver: Driver, start: float) -> dict[str, float | str]:
 
 
 def _round(value: float) -> float:
-    """Four digits."""
+    """Round to four digits."""
     return float(f"{float(value):.4g}")

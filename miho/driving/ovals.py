@@ -1,4 +1,4 @@
-"""The two ovals of the paper's field tests, from what is published of their design."""
+"""The two ovals of the paper's field tests, from published data of their design."""
 
 from __future__ import annotations
 
@@ -11,13 +11,23 @@ _DEGREE = math.pi / 180
 
 
 def ims(step: float = 1.0) -> Track:
-    """Indianapolis Motor Speedway (4023.36 m), from the middle of the front straight.
+    """Return the Indianapolis Motor Speedway (4023.36 m), from the middle of the front straight.
 
-    The line is the one along which the 2.5 miles are measured, as drawings have it: turns of 90
-    degrees and radius 256.135 m. A survey (TUM) finds it 0.7 m off the left edge of a road that is
-    15.2 m wide, 18.3 m in the turns; `beside` gives lines to drive on. The turns are banked by 9.2
-    degrees; next to the long straights, which are flat, they lean in over 160 m. The short
-    straights keep 7 degrees; both are of the survey, for want of a drawing.
+    The line is the measurement line of the 2.5 miles in drawings, with turns of 90 degrees and a
+    radius of 256.135 m. In a survey (TUM), it is 0.7 m from the left edge of a road that is 15.2 m
+    wide, and 18.3 m in the turns; `beside` gives driving lines. The bank is 9.2 degrees in the
+    turns, with transitions of 160 m to the flat long straights, and 7 degrees on the short
+    straights; the transitions and the bank of the short straights are from the survey.
+
+    Parameters
+    ----------
+    step : float, optional
+        Distance of the points [m].
+
+    Returns
+    -------
+    Track
+        The measurement line.
     """
     radius, steep, turn, narrow, wide = 256.135, 9.2 * _DEGREE, 402.336, 15.2, 18.3
     bend, short = (1 / radius, 1 / radius), 7.0 * _DEGREE
@@ -34,11 +44,22 @@ def ims(step: float = 1.0) -> Track:
 
 
 def lvms(step: float = 1.0) -> Track:
-    """Las Vegas Motor Speedway (2471 m), from the middle of the back straight.
+    """Return the Las Vegas Motor Speedway (2471 m), from the middle of the back straight.
 
-    Turns of radius 234 m banked by 20 degrees, the back straight by 6; the front is a curve of
-    488.4 m banked by 9. Clothoids lie between them, over which the bank changes; 15 m wide. The
-    radii and lengths are fitted to a survey (TUM): mean distance 0.75 m.
+    The turns have a radius of 234 m and a bank of 20 degrees, the back straight a bank of 6
+    degrees, and the front a radius of 488.4 m and a bank of 9 degrees. Clothoids connect them, with
+    changing bank; the road is 15 m wide. Radii and lengths are fitted to a survey (TUM), with a
+    mean distance of 0.75 m.
+
+    Parameters
+    ----------
+    step : float, optional
+        Distance of the points [m].
+
+    Returns
+    -------
+    Track
+        The middle of the road.
     """
     turn, front = 1 / 234.0, 1 / 488.4
     steep, back, middle = 20 * _DEGREE, 6 * _DEGREE, 9 * _DEGREE

@@ -1,6 +1,6 @@
 """Path tracking (Sec. IV-C): a linear-quadratic regulator over speed, with feed-forward.
 
-Symbols are those of Eq. 13-15 and of Rajamani, Vehicle Dynamics and Control (2011), Ch. 2.5.
+Symbols follow Eq. 13-15 and Rajamani, Vehicle Dynamics and Control (2011), Ch. 2.5.
 """
 
 from __future__ import annotations
@@ -16,22 +16,30 @@ from miho.quantities import Array, g
 from miho.validate import positive
 
 SLOWEST = 3.0
-"""Speed [m/s] below which the tires' slip says nothing and the path is followed by geometry."""
+"""Speed [m/s] below which slip is not defined well, and the path is followed by geometry."""
 SPEEDS = np.geomspace(SLOWEST, 90.0, 32)
-"""Speeds [m/s] at which gains are computed, closer when slow."""
+"""Speeds [m/s] of the gain schedule, denser at low speed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LateralModel:
-    """Errors against a path of a single-track car with linear tires (Eq. 13).
+    """Path errors of a single-track car with linear tires (Eq. 13).
 
         xi = [e_y, e_y', e_psi, e_psi'],   xi' = A xi + B1 delta + B2 psi_des' + B3 sin(bank)
 
-    e_y [m] is how far the car is to the left of the path, e_psi [rad] its heading less the path's,
-    delta [rad] the steering angle and psi_des' = vx kappa [rad/s] the path's yaw rate. C_f and C_r
-    are the axles' cornering stiffnesses [N/rad], each of both tires (Eq. 14, no factor 2); bank is
-    positive when the left side is lower. Downforce stiffens an axle: C_f and C_r may be arrays
-    (k,) that hold at rising `speeds` (k,) [m/s], linear between, held beyond.
+    e_y [m] is the offset of the car to the left of the path, e_psi [rad] the heading relative to
+    the path, delta [rad] the steering angle, and psi_des' = vx kappa [rad/s] the yaw rate of the
+    path. bank is positive if the left side is lower.
+
+    Parameters
+    ----------
+    car : SingleTrack
+        The car.
+    C_f, C_r : float or ndarray, shape (k,)
+        Cornering stiffnesses of the axles [N/rad], each the sum of both tires (Eq. 14, no factor
+        2). Arrays hold at `speeds`, because downforce increases the stiffness of an axle.
+    speeds : ndarray, shape (k,), optional
+        Rising speeds [m/s], with linear interpolation and constant extrapolation.
     """
 
     car: SingleTrack
@@ -49,14 +57,14 @@ class LateralModel:
                 )
 
     def stiffnesses(self, vx: float) -> tuple[float, float]:
-        """C_f and C_r [N/rad] at a speed [m/s]."""
+        """Return C_f and C_r [N/rad] at a speed [m/s]."""
         front, rear = (
             float(np.interp(vx, self.speeds, np.atleast_1d(C))) for C in (self.C_f, self.C_r)
         )
         return front, rear
 
     def matrices(self, vx: float) -> tuple[Array, Array, Array, Array]:
-        """A (4, 4), B1, B2 and B3 (4,) at a speed [m/s] above 0."""
+        """Return A (4, 4), B1, B2 and B3 (4,) at a speed [m/s] above 0."""
         if not 0 < vx < math.inf:
             raise ValueError(f"vx is {vx}; expected a speed above 0 m/s")
         m, lf, lr, Izz = self.car.mass, self.car.lf, self.car.lr, self.car.Izz
@@ -95,12 +103,12 @@ class Weights:
 
     @property
     def Q(self) -> Array:  # noqa: N802
-        """The weights of xi, (4, 4)."""
+        """Weights of xi, (4, 4)."""
         return np.diag([self.e_y, self.e_y_rate, self.e_psi, self.e_psi_rate])
 
 
 def continuous_gains(model: LateralModel, weights: Weights, vx: float) -> Array:
-    """K (4,) of delta = -K xi as printed (Eq. 15): in continuous time, the steering at once."""
+    """Return K (4,) of delta = -K xi as printed (Eq. 15), in continuous time without delay."""
     A, B1, _, _ = model.matrices(vx)
     P = solve_continuous_are(A, B1[:, None], weights.Q, np.array([[weights.steering]]))
     return np.asarray(B1 @ P / weights.steering)
@@ -108,7 +116,7 @@ def continuous_gains(model: LateralModel, weights: Weights, vx: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class SteeringActuator:
-    """Between a steering command and the road wheels: a dead time, then a first-order lag [s]."""
+    """Steering actuator with a dead time and a first-order lag [s]."""
 
     delay: float
     lag: float
@@ -122,7 +130,7 @@ class SteeringActuator:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledModel:
-    """A `LateralModel` with its steering, from one command to the next, period [s] apart.
+    """A `LateralModel` with its steering, sampled with a command every period [s].
 
     z = [xi, delta, u_1, ..., u_d]     delta: angle of the road wheels, u_i: the command i
     z_next = F z + G u                 periods ago, d = delay / period, a whole number
@@ -137,11 +145,11 @@ class SampledModel:
 
     @property
     def delayed(self) -> int:
-        """d, the delay in periods, rounded."""
+        """Number of periods d of the delay, rounded."""
         return round(self.steering.delay / self.period)
 
     def matrices(self, vx: float) -> tuple[Array, Array]:
-        """F (5 + d, 5 + d) and G (5 + d,) at a speed [m/s] above 0; exact for held commands."""
+        """Return F (5 + d, 5 + d) and G (5 + d,) at a speed [m/s] above 0, for held commands."""
         A, B1, _, _ = self.model.matrices(vx)
         joint = np.zeros((6, 6))
         joint[:4, :4], joint[:4, 4] = A, B1
@@ -159,7 +167,7 @@ class SampledModel:
         return F, G
 
     def gains(self, weights: Weights, vx: float) -> Array:
-        """K (5 + d,) of u = -K z that minimises the sum of Eq. 15 over the samples."""
+        """Return K (5 + d,) of u = -K z that minimizes the sum of Eq. 15 over the samples."""
         F, G = self.matrices(vx)
         Q = np.zeros_like(F)
         Q[:4, :4] = weights.Q
@@ -170,7 +178,7 @@ class SampledModel:
 
 @dataclass(frozen=True, eq=False)
 class GainSchedule:
-    """Gains over speed: K (k, 5 + d) at rising speeds (k,) [m/s], linear between, held beyond."""
+    """Gains K (k, 5 + d) at rising speeds (k,) [m/s], with linear interpolation."""
 
     sampled: SampledModel
     speeds: Array
@@ -180,24 +188,24 @@ class GainSchedule:
     def of(
         cls, sampled: SampledModel, weights: Weights, speeds: Array | None = None
     ) -> GainSchedule:
-        """The optimal gains at these speeds, by default `SPEEDS`."""
+        """Return the optimal gains at rising speeds [m/s], by default `SPEEDS`."""
         speeds = SPEEDS if speeds is None else np.asarray(speeds, float)
         if speeds.ndim != 1 or speeds.size < 2 or not (np.diff(speeds) > 0).all() or speeds[0] <= 0:
             raise ValueError(f"speeds are {speeds}; expected rising numbers above 0 m/s")
         return cls(sampled, speeds, np.array([sampled.gains(weights, float(v)) for v in speeds]))
 
     def at(self, vx: float) -> Array:
-        """K (5 + d,) at a speed [m/s]."""
+        """Return K (5 + d,) at a speed [m/s]."""
         return between(self.speeds, self.K, vx)
 
     def radius(self, vx: float) -> float:
-        """Largest modulus of the closed loop's poles at a speed [m/s]: below 1 it is stable."""
+        """Return the spectral radius of the closed loop at a speed [m/s]; below 1 it is stable."""
         F, G = self.sampled.matrices(vx)
         return float(np.abs(np.linalg.eigvals(F - np.outer(G, self.at(vx)))).max())
 
 
 def between(speeds: Array, values: Array, vx: float) -> Array:
-    """Values (k, ...) at rising speeds (k,) [m/s], at a speed: linear between, held beyond."""
+    """Interpolate values (k, ...) at rising speeds (k,) [m/s]; constant beyond the ends."""
     right = min(max(int(np.searchsorted(speeds, vx)), 1), speeds.size - 1)
     low, high = speeds[right - 1], speeds[right]
     part = min(max((vx - low) / (high - low), 0.0), 1.0)

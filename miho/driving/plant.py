@@ -1,4 +1,4 @@
-"""What is driven: a plant takes commands and says how the car moves."""
+"""Interface of simulated cars: plants map commands to motions."""
 
 from __future__ import annotations
 
@@ -12,10 +12,18 @@ State = TypeVar("State")
 
 
 class Command(NamedTuple):
-    """What a controller asks for, held over a control period.
+    """Command of a controller, constant over a control period.
 
-    steering: angle of the road wheels [rad], positive to the left. throttle: 0 to 1. brake:
-    pressure of the front circuit [Pa], as `miho.models.Brake` has it. gear: 1 up, or 0 for neutral.
+    Attributes
+    ----------
+    steering : float
+        Angle of the road wheels [rad], positive to the left.
+    throttle : float
+        Opening from 0 to 1.
+    brake : float
+        Pressure of the front circuit [Pa], see `miho.models.Brake`.
+    gear : int
+        Gear from 1, or 0 for neutral.
     """
 
     steering: float = 0.0
@@ -24,7 +32,7 @@ class Command(NamedTuple):
     gear: int = 1
 
     def check(self, gears: int) -> None:
-        """Raise ValueError unless every part is a command that a car with so many gears takes."""
+        """Raise ValueError unless the command is valid for a car with this number of gears."""
         for name in ("steering", "throttle", "brake", "gear"):
             value = getattr(self, name)
             if not math.isfinite(value):
@@ -38,13 +46,30 @@ class Command(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How the car moves, ISO axes: x forward, y left, z up. Wheels: FL, FR, RL, RR.
+    """Motion of the car in ISO axes: x forward, y left, z up; wheels FL, FR, RL, RR.
 
-    time [s]; x, y [m] and yaw [rad]: of the centre of gravity, seen from above, the yaw without
-    jumps; vx, vy [m/s] and yaw_rate [rad/s]: about the car's own axes, on a bank along the road;
-    ax, ay [m/s^2]: forces other than weight, per mass, as an accelerometer feels them; steering:
-    angle of the road wheels [rad]; wheel_speeds (4,) and engine_speed [rad/s]; engine_torque [Nm];
-    brake_pressure of the front circuit [Pa]; loads (4,): of the wheels [N].
+    Attributes
+    ----------
+    time : float
+        Time [s].
+    x, y, yaw : float
+        Position [m] and yaw [rad] of the centre of gravity in the plan; the yaw has no jumps.
+    vx, vy, yaw_rate : float
+        Velocities [m/s] and yaw rate [rad/s] in the axes of the car, along the road on a bank.
+    ax, ay : float
+        Forces other than weight, per mass [m/s^2], as measured by an accelerometer.
+    steering : float
+        Angle of the road wheels [rad].
+    wheel_speeds : ndarray, shape (4,)
+        Speeds of the wheels [rad/s].
+    engine_speed, engine_torque : float
+        Engine speed [rad/s] and torque [Nm].
+    gear : int
+        Gear.
+    brake_pressure : float
+        Pressure of the front circuit [Pa].
+    loads : ndarray, shape (4,)
+        Loads of the wheels [N].
     """
 
     time: float
@@ -66,31 +91,45 @@ class Motion(NamedTuple):
 
 
 class Plant(ABC, Generic[State]):
-    """A simulated car. It holds no state: what moves is in the states that it makes."""
+    """A simulated car. A plant is immutable; its methods take and return states."""
 
     @abstractmethod
     def start(
         self, s: float = 0.0, offset: float = 0.0, speed: float = 0.0, gear: int = 1
     ) -> State:
-        """The car running straight along the road's line, rolling at a speed [m/s].
+        """Return the state of a car that rolls along the line of the road.
 
-        s: arc length of the line [m]; offset: to the left of it in the plan [m].
+        Parameters
+        ----------
+        s : float, optional
+            Arc length of the line [m].
+        offset : float, optional
+            Offset to the left of the line in the plan [m].
+        speed : float, optional
+            Speed [m/s].
+        gear : int, optional
+            Gear, 0 for neutral.
+
+        Returns
+        -------
+        State
+            State of the plant.
         """
 
     @abstractmethod
     def advance(self, state: State, command: Command, duration: float) -> State:
-        """The state after a command was held for a duration [s]; the given state is unchanged.
+        """Return the state after a command is held for a duration [s].
 
-        Raises ValueError for a command or duration that is not finite or not allowed.
+        The given state is not modified. Raises ValueError for invalid commands and durations.
         """
 
     @abstractmethod
     def motion(self, state: State) -> Motion:
-        """What can be seen of a state, without noise."""
+        """Return the motion of a state, without noise."""
 
 
 def steps_of(duration: float, step: float) -> int:
-    """The number of steps [s] in a duration [s]; ValueError unless whole and at least 1."""
+    """Return the number of steps in a duration; raises ValueError unless it is whole and >= 1."""
     count = duration / step if math.isfinite(duration) else math.nan
     if not (count > 0.5 and abs(count - round(count)) < 1e-6):
         raise ValueError(f"duration is {duration} s; expected a multiple of the step, {step:g} s")

@@ -1,4 +1,4 @@
-"""The numbers of a simulated car, as compiled code reads them."""
+"""Parameters of a simulated car for compiled code."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from miho.models.magic_formula import MagicFormula
 from miho.quantities import Array
 
 Tires = tuple[MagicFormula, MagicFormula, MagicFormula, MagicFormula]
-"""Front left, front right, rear left, rear right; each used as its file describes it."""
+"""Tires front left, front right, rear left, rear right, never mirrored."""
 
 
 class Chassis(NamedTuple):
-    """Body, air and suspension; names and units of `Vehicle`."""
+    """Body, aerodynamics and suspension, with names and units of `Vehicle`."""
 
     mass: float
     lf: float
@@ -41,7 +41,7 @@ class Chassis(NamedTuple):
 
 
 class Engine(NamedTuple):
-    """Names and units of `EngineMap`; ratios: engine turns per wheel turn [-], gear 1 first."""
+    """Engine with names and units of `EngineMap`; ratios are engine turns per wheel turn [-]."""
 
     openings: Array
     speeds: Array
@@ -50,7 +50,7 @@ class Engine(NamedTuple):
 
 
 class Driveline(NamedTuple):
-    """Names and units of `Vehicle`."""
+    """Driveline with names and units of `Vehicle`."""
 
     efficiency: float
     engine_inertia: float
@@ -64,7 +64,7 @@ class Driveline(NamedTuple):
 
 
 class Brakes(NamedTuple):
-    """Names and units of `Brake`; gains of one wheel."""
+    """Brakes with names and units of `Brake`; gains are for one wheel."""
 
     P_max: float
     K_front: float
@@ -77,10 +77,10 @@ class Brakes(NamedTuple):
 
 
 class Car(NamedTuple):
-    """Everything that the dynamics of a car depend on, but for the road.
+    """All parameters of the dynamics of a car, without the road.
 
-    All but the engine are structured arrays (1,), whose one record has the fields of the class of
-    that name, and (4,) for the wheels' tires: compiled code takes them by their address.
+    Except for the engine, fields are structured arrays (1,) with the fields of the named class, and
+    (4,) for the tires, because compiled code takes arrays by reference.
     """
 
     engine: Engine
@@ -92,7 +92,7 @@ class Car(NamedTuple):
 
 
 def car_of(vehicle: Vehicle, tires: Tires, engine: EngineMap, brake: Brake) -> Car:
-    """The numbers of a car."""
+    """Return the parameters of a car for compiled code."""
     inclinations = (vehicle.inclination_front,) * 2 + (vehicle.inclination_rear,) * 2
     ratios = np.array(vehicle.gear_ratios, dtype=float) * vehicle.final_drive
     return Car(
@@ -106,14 +106,14 @@ def car_of(vehicle: Vehicle, tires: Tires, engine: EngineMap, brake: Brake) -> C
 
 
 def _records(*rows: Any) -> Any:
-    """Named tuples of numbers and tuples of numbers, all of one class, as a structured array."""
+    """Convert named tuples of one class, with numbers and tuples, to a structured array."""
     first = rows[0]._asdict()
     dtype = [(name, np.float64, np.shape(value)) for name, value in first.items()]
     return np.array([tuple(row) for row in rows], dtype=dtype)
 
 
 def _chassis(v: Vehicle) -> Chassis:
-    # The wheels share the rolling resistance as they share the weight.
+    # Rolling resistance is distributed as the weight.
     on_front, on_rear = v.C_r * v.lr / v.wheelbase / 2, v.C_r * v.lf / v.wheelbase / 2
     return Chassis(
         mass=v.mass,

@@ -1,4 +1,4 @@
-"""Engine, clutch, gears, differential and brakes of a simulated car, compiled."""
+"""Compiled engine, clutch, gears, differential and brakes of a simulated car."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from miho.driving.plant_parameters import Brakes, Driveline, Engine
 from miho.quantities import Array
 
 CUT = 20.0
-"""Engine speed over which the limiter closes the throttle, above the largest [rad/s]."""
+"""Range above the largest engine speed over which the limiter closes the throttle [rad/s]."""
 STICTION = 1.0
-"""Wheel speed [rad/s] below which what brakes a wheel fades, so that it comes to rest."""
+"""Wheel speed [rad/s] below which braking torques fade, so that the wheel comes to rest."""
 
 
 @part
 def map_torque(e: Engine, omega: float, throttle: float) -> float:
-    """Torque [Nm] of the map at an engine speed [rad/s] and an opening, as `EngineMap.torque`."""
+    """Return the torque [Nm] at an engine speed [rad/s] and an opening, as `EngineMap.torque`."""
     i = _cell(e.speeds, omega)
     k = _cell(e.openings, throttle)
     right = (omega - e.speeds[i]) / (e.speeds[i + 1] - e.speeds[i])
@@ -28,7 +28,7 @@ def map_torque(e: Engine, omega: float, throttle: float) -> float:
 
 @part
 def _cell(axis: Array, at: float) -> int:
-    """Index of the cell of a rising axis that holds a point, the first or last beyond the ends."""
+    """Return the cell of a rising axis with a point, the first or last one beyond the ends."""
     low, high = 0, axis.size - 2
     while low < high:
         middle = (low + high + 1) // 2
@@ -43,9 +43,9 @@ def _cell(axis: Array, at: float) -> int:
 def engine_speed(
     e: Engine, d: Driveline, gear: int, closed: bool, rear: float
 ) -> tuple[float, bool]:
-    """Engine speed [rad/s] and whether the clutch has locked it to the rear wheels' mean speed.
+    """Return the engine speed [rad/s], and whether the clutch locks it to the rear wheels.
 
-    Below the idle speed the clutch slips and the engine stays at it.
+    Below the idle speed, the clutch slips and the engine keeps the idle speed.
     """
     if gear == 0:
         return d.idle_speed, False
@@ -55,7 +55,7 @@ def engine_speed(
 
 @part
 def torque_rate(e: Engine, d: Driveline, torque: float, omega: float, throttle: float) -> float:
-    """Rate of the engine torque [Nm/s]: it follows the map with a lag, slower when it rises."""
+    """Return the rate of the engine torque [Nm/s], which follows the map with a lag."""
     allowed = min(max((d.engine_speed_max + CUT - omega) / CUT, 0.0), 1.0)
     steady = map_torque(e, omega, throttle * allowed)
     rate: float = (steady - torque) / (d.spool_rise if steady > torque else d.spool_fall)
@@ -73,10 +73,10 @@ def rear_accelerations(
     right: float,
     outer: tuple[float, float],
 ) -> tuple[float, float]:
-    """Accelerations of the rear wheels [rad/s^2] at their speeds, left and right [rad/s].
+    """Return the accelerations of the rear wheels [rad/s^2] at speeds left and right [rad/s].
 
-    torque: of the engine [Nm]. outer: what tire and brake put on either wheel [Nm]. Gears and
-    engine inertia are those of `Longitudinal`, on the mean of the two wheels.
+    torque is the engine torque [Nm], and outer the torque of tire and brake on each wheel [Nm].
+    Gears and engine inertia act on the mean of both wheels, as in `Longitudinal`.
     """
     I = d.wheel_inertia  # noqa: E741
     total = outer[0] + outer[1]
@@ -99,14 +99,14 @@ def rear_accelerations(
 
 @part
 def brake_torques(b: Brakes, pressure: float) -> tuple[float, float]:
-    """Torque of a front and of a rear wheel [Nm] at a pressure of the front circuit [Pa]."""
+    """Return the torques of a front and a rear wheel [Nm] at a front pressure [Pa]."""
     front = b.K_front * max(pressure - b.P0_front, 0.0)
     return front, b.K_rear * max(pressure * b.rear - b.P0_rear, 0.0)
 
 
 @part
 def pressure_rate(b: Brakes, pressure: float, command: float) -> float:
-    """Rate of the pressure [Pa/s] towards the commanded one, at most that of the pump."""
+    """Return the rate of the pressure [Pa/s] towards the command, which is limited to P_max."""
     target = min(command, b.P_max)
     rate: float = (target - pressure) / (b.tau_rise if target > pressure else b.tau_fall)
     return rate
@@ -114,6 +114,6 @@ def pressure_rate(b: Brakes, pressure: float, command: float) -> float:
 
 @part
 def against(torque: float, omega: float) -> float:
-    """A braking torque [Nm] with its sign: against the turning of the wheel [rad/s]."""
+    """Return a braking torque [Nm] with the sign opposite to the wheel speed [rad/s]."""
     signed: float = -torque * min(max(omega / STICTION, -1.0), 1.0)
     return signed

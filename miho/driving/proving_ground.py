@@ -1,4 +1,4 @@
-"""Drives whose measurements the car's parameters are identified from: weaves, held pedals."""
+"""Manoeuvres for the identification of a car: weaves and constant pedals."""
 
 from __future__ import annotations
 
@@ -21,26 +21,37 @@ State = TypeVar("State")
 PERIOD = 0.01
 """Time from one command, and sample, to the next [s]."""
 LEAD = 0.5
-"""How long the car rolls before a pedal is pressed, so that a log shows when it was [s]."""
+"""Time of rolling before a pedal is pressed [s], so that a log shows the step."""
 MEASURED = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
 SLOWEST, FASTEST = 1500 * RPM, 6800 * RPM
-"""Engine speeds between which an opening is held [rad/s]."""
+"""Range of engine speeds with a constant opening [rad/s]."""
 HELD_GEARS = (2, 3, 4)
 WEAVE_SPEEDS = (25.0, 35.0, 45.0)
 BRAKE_SPEEDS = (30.0, 60.0)
 BRAKE_PRESSURES = (0.5e6, 1.0e6, 1.5e6, 2.0e6, 3.0e6)
 SLIDING = 0.15
-"""Lateral over longitudinal speed [-] at which the driver gives up: the car begins to spin."""
+"""Ratio of lateral to longitudinal speed [-] at which a manoeuvre ends, because the car spins."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manoeuvre:
-    """One stretch of open-loop driving on a plane, from a speed [m/s] in a gear, 0 for neutral.
+    """Open-loop driving on a plane, until the duration ends, the speed leaves a range, or a spin.
 
-    It lasts for `duration` [s] or until the speed leaves `within` [m/s] or the car spins. throttle
-    and brake (front pressure [Pa]) are held after the first `LEAD` [s]. The steering [rad] is a
-    sine of `frequency` [Hz] whose amplitude rises evenly from 0 to `steering`; while it weaves the
-    throttle holds the speed as well as a driver would.
+    Parameters
+    ----------
+    speed : float
+        Initial speed [m/s].
+    gear : int
+        Gear, 0 for neutral.
+    duration : float
+        Largest duration [s].
+    within : tuple of float, optional
+        Range of the speed [m/s].
+    throttle, brake : float, optional
+        Opening and front pressure [Pa], constant after the first `LEAD` [s].
+    steering, frequency : float, optional
+        Final amplitude [rad] and frequency [Hz] of a sine of the steering. The amplitude rises
+        linearly from 0, and the throttle approximately keeps the speed.
     """
 
     speed: float
@@ -59,7 +70,7 @@ class Manoeuvre:
             raise ValueError(f"speed is {self.speed} m/s; expected {low:g} to {high:g} m/s, within")
 
     def command(self, t: float, vx: float) -> Command:
-        """What is commanded at a time [s] since the start, at a speed [m/s]."""
+        """Return the command at a time since the start [s] and a speed [m/s]."""
         if self.steering > 0:
             swing = self.steering * t / self.duration * math.sin(math.tau * self.frequency * t)
             throttle = min(max(0.25 + 0.1 * (self.speed - vx), 0.0), 1.0)
@@ -70,13 +81,13 @@ class Manoeuvre:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A manoeuvre as it was driven, a row each `PERIOD`: motions without noise, and commands."""
+    """Motions without noise, and commands, of a driven manoeuvre, with a row per `PERIOD`."""
 
     motions: tuple[Motion, ...]
     commands: tuple[Command, ...]
 
     def log(self, name: str, sensors: Sensors, rng: np.random.Generator) -> DrivingLog:
-        """The log that sensors make of it, with their noise drawn from `rng`."""
+        """Return the log of sensors, with noise from `rng`."""
         rows = [sensors.measure(motion, rng) for motion in self.motions]
         channels = {key: np.array([getattr(row, key) for row in rows], float) for key in MEASURED}
         channels["time"] = PERIOD * np.arange(len(rows))
@@ -86,7 +97,7 @@ class Recording:
 
 
 def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:
-    """Drive a manoeuvre on a plane."""
+    """Drive a manoeuvre on a plane and return the recording."""
     state = plant.start(speed=manoeuvre.speed, gear=manoeuvre.gear)
     motions, commands = [], []
     low, high = manoeuvre.within
@@ -102,7 +113,7 @@ def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:
 
 
 def weaves() -> tuple[Manoeuvre, ...]:
-    """For the axles: up to and beyond the tires' peaks, at three speeds."""
+    """Return manoeuvres for the axles, beyond the peaks of the tires, at three speeds."""
     first = Manoeuvre(speed=WEAVE_SPEEDS[0], gear=2, duration=20.0, steering=0.16)
     return tuple(
         replace(first, speed=speed, gear=gear) for gear, speed in enumerate(WEAVE_SPEEDS, start=2)
@@ -112,7 +123,7 @@ def weaves() -> tuple[Manoeuvre, ...]:
 def held_throttles(
     vehicle: Vehicle, throttle: float, gears: Sequence[int] = HELD_GEARS, longest: float = 14.0
 ) -> tuple[Manoeuvre, ...]:
-    """For the engine: an opening held from high and from low engine speeds, in each gear."""
+    """Return manoeuvres for the engine: an opening from high and low speed in each gear."""
     manoeuvres = []
     for gear in gears:
         lever = vehicle.gear_ratios[gear - 1] * vehicle.final_drive / vehicle.wheel_radius
@@ -127,7 +138,7 @@ def held_throttles(
 
 
 def brakings() -> tuple[Manoeuvre, ...]:
-    """For the brake: constant pressures in neutral, so that the engine does not brake too."""
+    """Return manoeuvres for the brake: constant pressures in neutral, without engine braking."""
     return tuple(
         Manoeuvre(speed=speed, gear=0, duration=6.0, within=(10.0, 90.0), brake=pressure)
         for speed in BRAKE_SPEEDS
@@ -136,7 +147,7 @@ def brakings() -> tuple[Manoeuvre, ...]:
 
 
 def programme(vehicle: Vehicle, openings: Sequence[float]) -> Mapping[str, tuple[Manoeuvre, ...]]:
-    """All that is driven, by name: weave, braking, and throttle_05 and so on for the openings."""
+    """Return all manoeuvres by name: weave, braking, and throttle_05 etc. for the openings."""
     throttles = {
         f"throttle_{round(100 * opening):02d}": held_throttles(vehicle, opening)
         for opening in openings

@@ -13,12 +13,24 @@ from miho.validate import positive
 
 
 class Road(NamedTuple):
-    """A line in n cells of equal length, as compiled code reads it; units and signs of `Track`.
+    """A line in n cells of equal length for compiled code, with units and signs of `Track`.
 
-    x, y, heading, bank (n + 1,) at the ends of the cells; curvature (n,) of each cell, so that
-    its integral is the heading; turn: change of the heading over a lap [rad]. A line that is not
-    closed goes on straight beyond its ends. friction [-]: of the surface, over that on which the
-    tires were measured.
+    A line that is not closed continues straight beyond its ends.
+
+    Attributes
+    ----------
+    step : float
+        Length of a cell [m].
+    closed : bool
+        Whether the line is closed.
+    turn : float
+        Change of the heading over a lap [rad].
+    x, y, heading, bank : ndarray, shape (n + 1,)
+        Position [m], heading [rad] and bank [rad] at the ends of the cells.
+    curvature : ndarray, shape (n,)
+        Curvature of each cell [1/m]; its integral is the heading.
+    friction : float
+        Friction relative to the surface of the tire measurement [-].
     """
 
     step: float
@@ -35,11 +47,29 @@ class Road(NamedTuple):
 PLANE = Road(
     1.0, False, 0.0, np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(1)
 )
-"""Flat ground, whose line is the x axis."""
+"""Flat ground, with the x axis as its line."""
 
 
 def road_of(track: Track, friction: float = 1.0) -> Road:
-    """The road of a track; friction as in `Road`."""
+    """Return the road of a track.
+
+    Parameters
+    ----------
+    track : Track
+        The closed line.
+    friction : float, optional
+        Friction relative to the surface of the tire measurement [-].
+
+    Returns
+    -------
+    Road
+        The road for compiled code.
+
+    Raises
+    ------
+    ValueError
+        If the friction is not positive.
+    """
     positive("friction of the road", friction)
     x, y, bank = (np.append(column, column[0]) for column in (track.x, track.y, track.bank))
     heading = np.append(track.heading, track.heading[0] + track.turn)
@@ -49,7 +79,7 @@ def road_of(track: Track, friction: float = 1.0) -> Road:
 
 @part
 def shape_at(road: Road, s: float) -> tuple[float, float]:
-    """Curvature [1/m] in the plan and bank [rad] at an arc length [m], beyond a lap too."""
+    """Return the plan curvature [1/m] and bank [rad] at an arc length [m] of any lap."""
     i, part, _ = _cell(road, s)
     bank: float = road.bank[i] + part * (road.bank[i + 1] - road.bank[i])
     return road.curvature[i], bank
@@ -57,9 +87,9 @@ def shape_at(road: Road, s: float) -> tuple[float, float]:
 
 @part
 def place_at(road: Road, s: float, offset: float) -> tuple[float, float, float]:
-    """x, y [m] and the line's heading [rad] at an arc length and an offset in the plan [m].
+    """Return x, y [m] and the heading of the line [rad] at an arc length and a plan offset [m].
 
-    Within a cell the line is an arc, as that of `Track`: the chord has the heading of its middle.
+    Within a cell the line is an arc, as in `Track`: the chord has the heading of its middle.
     """
     i, part, lap = _cell(road, s)
     rise = road.heading[i + 1] - road.heading[i]
@@ -71,7 +101,7 @@ def place_at(road: Road, s: float, offset: float) -> tuple[float, float, float]:
 
 @part
 def _cell(road: Road, s: float) -> tuple[int, float, Any]:
-    """The cell that holds an arc length, how far into it (0 to 1 if closed), and laps done."""
+    """Return the cell of an arc length, the position in it (0 to 1 if closed), and the laps."""
     at, lap = s / road.step, 0.0
     n = road.curvature.size
     if road.closed:

@@ -1,4 +1,4 @@
-"""A track from straights, arcs and clothoids, as designers of roads describe it."""
+"""Tracks from straights, arcs and clothoids, as in road design."""
 
 from __future__ import annotations
 
@@ -15,17 +15,24 @@ from miho.quantities import Array
 from miho.validate import positive
 
 PIECE = 20.0
-"""Length [m] over which one Gauss rule integrates; the error is below 1e-12 m."""
+"""Length [m] of a Gauss rule, for an error below 1e-12 m."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """A part of a track whose curvature is linear in the arc length.
+    """A part of a track with a curvature that is linear in the arc length.
 
-    length [m]; curvature [1/m] at its start and end, positive to the left: equal on arcs, 0 on
-    straights. bank [rad], positive when the left side is lower, and width [m] of the whole road go
-    from the first to the second value with zero slope at both.
+    Parameters
+    ----------
+    length : float
+        Length [m].
+    curvature : tuple of float, optional
+        Curvature at start and end [1/m], positive to the left: equal on arcs, 0 on straights.
+    bank : tuple of float, optional
+        Bank at start and end [rad], positive if the left side is lower, with zero slope at both.
+    width : tuple of float, optional
+        Width of the whole road at start and end [m], with zero slope at both.
     """
 
     length: float
@@ -43,7 +50,7 @@ class Segment:
                 )
 
     def mirrored(self) -> Segment:
-        """The segment driven from its end to its start, with the same bends to the left."""
+        """Return the segment in reverse order, with the same sign of the curvature."""
         return replace(
             self,
             curvature=self.curvature[::-1], bank=self.bank[::-1], width=self.width[::-1],
@@ -58,12 +65,33 @@ def track_of(
     left: float | None = None,
     slack: float = 1.0,
 ) -> Track:
-    """The closed track of these segments in a row.
+    """Return the closed track of successive segments.
 
-    step: distance of its points [m], made smaller to fit a lap. left: from the line to the road's
-    left edge [m]; the line is in the middle of the road if None. Lengths that are rounded leave a
-    gap; they are changed by the least sum of squares that closes it, each by at most `slack` [m].
-    Raises ValueError where that is not enough.
+    Rounded lengths leave a gap. The lengths are changed by the least sum of squares that closes it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the track.
+    segments : sequence of Segment
+        The segments.
+    step : float, optional
+        Distance of the points [m], reduced to divide the lap.
+    left : float, optional
+        Distance of the line from the left edge of the road [m]; by default the line is in the
+        middle.
+    slack : float, optional
+        Largest change of a length [m].
+
+    Returns
+    -------
+    Track
+        The closed line.
+
+    Raises
+    ------
+    ValueError
+        If such changes do not close the track.
     """
     positive("step", step, "of metres")
     closed = _closed(name, list(segments), slack)
@@ -89,7 +117,7 @@ def _between(pairs: Array, share: Array) -> Array:
 
 
 def _closed(name: str, segments: list[Segment], slack: float) -> list[Segment]:
-    """The segments with lengths that bring the last end to the first start (Gauss-Newton)."""
+    """Return the segments with lengths that close the track, by Gauss-Newton iterations."""
     turn = sum(sum(segment.curvature) * segment.length for segment in segments)
     whole = math.tau if turn > 0 else -math.tau
     lengths = np.array([segment.length for segment in segments])
@@ -109,17 +137,16 @@ def _closed(name: str, segments: list[Segment], slack: float) -> list[Segment]:
     gap = _poses(segments)[-1]
     raise ValueError(
         f"track {name} does not close: its end is {math.hypot(gap[0], gap[1]):.3g} m from its "
-        f"start after a turn of {math.degrees(gap[2]):.5g} degrees, which changes of the lengths "
-        f"by up to {slack:g} m do not mend; correct the segments"
+        f"start after a turn of {math.degrees(gap[2]):.5g} degrees; changes of the lengths by up "
+        f"to {slack:g} m do not close it; correct the segments"
     )
 
 
 def _effect(end: Array, last: Array, segment: Segment) -> Array:
-    """How the last pose moves with the length of a segment that ends at `end`, per metre.
+    """Return the derivative of the last pose by the length of a segment that ends at `end`.
 
-    All that follows is carried along in the direction of the segment and turned about its end; a
-    longer clothoid turns by its mean curvature. What the shape of a longer clothoid adds is left
-    out: the iteration corrects it.
+    A longer segment moves all later segments in its direction, and turns them about its end by its
+    mean curvature. The change of shape of a clothoid is neglected; the iterations correct for it.
     """
     bend = sum(segment.curvature) / 2
     x, y = last[0] - end[0], last[1] - end[1]
@@ -127,7 +154,7 @@ def _effect(end: Array, last: Array, segment: Segment) -> Array:
 
 
 def _cut(segment: Segment) -> list[Segment]:
-    """Parts of equal length, at most `PIECE`, with the curvature alone."""
+    """Cut a segment into parts of equal length, at most `PIECE`, with the curvature only."""
     count = math.ceil(segment.length / PIECE)
     ends = np.linspace(*segment.curvature, count + 1).tolist()
     length = segment.length / count
@@ -135,14 +162,14 @@ def _cut(segment: Segment) -> list[Segment]:
 
 
 def _position(s: Array, segments: Sequence[Segment]) -> tuple[NDArray[np.intp], Array]:
-    """The segment that each arc length (n,) is in, and how far from its start [m]."""
+    """Return the segment of each arc length (n,), and the distance from its start [m]."""
     bounds = np.concatenate([[0.0], np.cumsum([segment.length for segment in segments])])
     which = np.clip(np.searchsorted(bounds, s, side="right") - 1, 0, len(segments) - 1)
     return which, s - bounds[which]
 
 
 def _poses(segments: Sequence[Segment]) -> Array:
-    """(x, y, heading) at the start of each segment and at the end of the last, (k + 1, 3)."""
+    """Return (x, y, heading) at the start of each segment and the last end, (k + 1, 3)."""
     lengths = np.array([segment.length for segment in segments])
     turned = lengths * np.array([sum(segment.curvature) / 2 for segment in segments])
     starts = np.zeros((len(segments), 3))
@@ -155,7 +182,7 @@ def _poses(segments: Sequence[Segment]) -> Array:
 def _advance(
     poses: Array, segments: Sequence[Segment], which: NDArray[np.intp], within: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """x, y, heading and curvature (n,) at distances `within` (n,) of the starts `poses` (n, 3)."""
+    """Return x, y, heading and curvature (n,) at distances `within` (n,) from `poses` (n, 3)."""
     pairs = np.array([segment.curvature for segment in segments])[which]
     lengths = np.array([segment.length for segment in segments])
     slope = (pairs[:, 1] - pairs[:, 0]) / lengths[which]

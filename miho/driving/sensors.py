@@ -1,4 +1,4 @@
-"""What a controller sees of the motion: the same with measurement noise."""
+"""Measurement noise of the motion that controllers use."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from miho.validate import settings_at_least
 
 @dataclass(frozen=True, kw_only=True)
 class Sensors:
-    """White noise on each channel of a `Motion`: standard deviations in the channel's SI unit.
+    """White noise of each channel of a `Motion`, as standard deviations in SI units.
 
-    The defaults are ours, of the size of a good inertial unit with GNSS (RTK) and of the wheel
-    and engine sensors of a racing car. `position` is of x and of y. Time and gear are exact.
+    Fields have the names of the channels; `position` applies to x and to y. Time and gear are
+    exact. The defaults are typical values, chosen for this package, of a good inertial unit with
+    GNSS (RTK) and of the wheel and engine sensors of a racing car.
     """
 
     position: float = 0.02
@@ -37,7 +38,7 @@ class Sensors:
         settings_at_least(self, [field.name for field in fields(self)], 0)
 
     def measure(self, motion: Motion, rng: np.random.Generator) -> Motion:
-        """The motion with noise; each call draws the same number of values from `rng`."""
+        """Return the motion with noise; each call draws the same number of values from `rng`."""
         stds = {"x": self.position, "y": self.position}
         stds |= {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         measured: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""The closed loop: a plant and its driver, and what is logged of both."""
+"""Closed-loop simulation of a plant with its driver, and its log."""
 
 from __future__ import annotations
 
@@ -28,21 +28,27 @@ LOGGED = (
     "u_brake", "u_gear", "stopping",
 )  # fmt: skip
 STANDING = 0.3
-"""Speed [m/s] at which a car that stops has stopped."""
+"""Speed [m/s] below which a car counts as stopped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What was logged, a row for each command: `columns` by name, SI units, (N,) each.
+    """Log of a drive, with a row for each command.
 
-    time [s], x, y, yaw, vx, vy, yaw_rate, ax, ay, steering, engine_speed, engine_torque, gear,
-    brake_pressure: as in `Motion`; load_fl, load_fr, load_rl, load_rr: of the wheels [N]. distance
-    [m]: along the first line since the start. Of the line that is followed: s [m], e_y [m], e_psi
-    [rad], curvature [1/m], bank [rad]; of its plan there: v_plan [m/s], ay_plan and ay_limit
-    [m/s^2], the lateral demand and its limit. v_des [m/s]: desired. u_steering [rad], u_throttle,
-    u_brake [Pa], u_gear: commands. stopping: 1 during a safe stop. None has noise.
-
-    measured: channels of `DrivingLog` as the driver saw them. stopped: why it stopped, or "".
+    Attributes
+    ----------
+    columns : Mapping[str, ndarray]
+        Columns (N,) without noise, in SI units. time, x, y, yaw, vx, vy, yaw_rate, ax, ay,
+        steering, engine_speed, engine_torque, gear and brake_pressure are as in `Motion`;
+        load_fl, load_fr, load_rl, load_rr are wheel loads [N]; distance [m] is along the first
+        line since the start. s [m], e_y [m], e_psi [rad], curvature [1/m] and bank [rad] refer to
+        the line of the plan; v_plan [m/s], ay_plan and ay_limit [m/s^2] are its speed, lateral
+        demand and limit of the demand. v_des [m/s] is the desired speed. u_steering [rad],
+        u_throttle, u_brake [Pa] and u_gear are commands. stopping is 1 during a safe stop.
+    measured : Mapping[str, ndarray]
+        Measured channels of a `DrivingLog`.
+    stopped : str
+        Reason of a safe stop, or "".
     """
 
     columns: Mapping[str, Array]
@@ -50,14 +56,14 @@ class Drive:
     stopped: str
 
     def __getitem__(self, name: str) -> Array:
-        """The column of `columns` by this name, (N,)."""
+        """Return a column by its name, (N,)."""
         return self.columns[name]
 
     def __len__(self) -> int:
         return self.columns["time"].size
 
     def log(self, name: str) -> DrivingLog:
-        """What the driver measured, as data to identify from; bank and grade are not in it."""
+        """Return the measurements as data for identification, without bank and grade."""
         return DrivingLog(name, self.measured)
 
 
@@ -72,11 +78,38 @@ def simulate(
     longest: float = 1200.0,
     watch: Callable[[float], object] | None = None,
 ) -> Drive:
-    """Drive from a state for a distance [m] along the line, at most for `longest` [s].
+    """Simulate a drive along the line of the driver's plan.
 
-    It ends before when the car stands after a safe stop. The driver sees the motion itself if
-    `sensors` is None, else with their noise, drawn from `rng`. `watch` is called with the distance
-    [m] so far after every command.
+    The drive ends at the distance, at the time limit, or at rest after a safe stop.
+
+    Parameters
+    ----------
+    plant : Plant
+        The simulated car.
+    driver : Driver
+        The driver.
+    start : State
+        Initial state of the plant.
+    distance : float
+        Distance along the line [m].
+    sensors : Sensors, optional
+        Noise of the measurements; by default there is none.
+    rng : numpy.random.Generator, optional
+        Random numbers of the noise, required with `sensors`.
+    longest : float, optional
+        Time limit [s].
+    watch : callable, optional
+        Function that is called with the distance so far [m] after each command.
+
+    Returns
+    -------
+    Drive
+        The log.
+
+    Raises
+    ------
+    ValueError
+        If `rng` is missing, or if the distance is not positive.
     """
     if sensors is not None and rng is None:
         raise ValueError("rng is None; give a numpy Generator for the noise of the sensors")
@@ -105,7 +138,7 @@ def simulate(
 
 
 def _row(motion: Motion, memory: DriverState, driven: float) -> list[float]:
-    """One row of `LOGGED`."""
+    """Return one row of the columns `LOGGED`."""
     plan = memory.plan
     at, error = place(plan.line, motion, memory.at)
     point = plan.line.at(at.s)
@@ -119,7 +152,7 @@ def _row(motion: Motion, memory: DriverState, driven: float) -> list[float]:
 
 
 def _channels(measurements: Sequence[tuple[Motion, Command]]) -> dict[str, Array]:
-    """Channels of a driving log from measured motions and the commands given upon them."""
+    """Return channels of a driving log from measured motions and their commands."""
     names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
     channels = {
         name: np.array([getattr(motion, name) for motion, _ in measurements], dtype=float)

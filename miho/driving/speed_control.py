@@ -19,11 +19,23 @@ from miho.validate import settings_at_least
 class SpeedSettings:
     """Gains and rules of the speed controller.
 
-    feedback [1/s]: desired acceleration per speed error; integral [1/s^2]: per its integral, which
-    stays within integral_max [m/s^2]. dead_band [N]: how far the desired force must be beyond what
-    the closed throttle gives before brake and throttle change over; dwell [s]: how long either
-    stays at least. shift_up, shift_down [rad/s]: engine speeds beyond which the gear changes, and
-    shift_dwell [s] how long it stays at least. brake_max [m/s^2]: largest deceleration asked for.
+    Parameters
+    ----------
+    feedback : float, optional
+        Desired acceleration per speed error [1/s].
+    integral, integral_max : float, optional
+        Desired acceleration per integral of the speed error [1/s^2], and its limit [m/s^2].
+    dead_band : float, optional
+        Excess of the desired force over the force of the closed throttle at which throttle and
+        brake change over [N].
+    dwell : float, optional
+        Shortest time on one pedal [s].
+    shift_up, shift_down : float, optional
+        Engine speeds at which the gear changes [rad/s].
+    shift_dwell : float, optional
+        Shortest time in one gear [s].
+    brake_max : float, optional
+        Largest deceleration [m/s^2].
     """
 
     feedback: float = 1.0
@@ -46,7 +58,7 @@ class SpeedSettings:
 
 
 class SpeedState(NamedTuple):
-    """What the controller remembers: which pedal it is on and since when [s], gear likewise."""
+    """State of the controller: pedal and gear, each with the time since its last change [s]."""
 
     integral: float = 0.0  # of the speed error, as an acceleration [m/s^2]
     braking: bool = False
@@ -56,7 +68,7 @@ class SpeedState(NamedTuple):
 
 
 class Pedals(NamedTuple):
-    """throttle 0 to 1; brake: pressure of the front circuit [Pa]; gear from 1."""
+    """Throttle from 0 to 1, brake pressure of the front circuit [Pa], and gear from 1."""
 
     throttle: float
     brake: float
@@ -65,10 +77,10 @@ class Pedals(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeedController:
-    """Desired acceleration -> force -> engine torque -> throttle, or -> brake pressure.
+    """Controller from desired acceleration to force, then to throttle or brake pressure.
 
-    `engine` and `brake` are what is known of them: their inverses are the look-ups of Fig. 3. The
-    drag, rolling resistance and rotating mass of the vehicle are fed forward.
+    `engine` and `brake` are identified models; their inverses are the look-up tables of Fig. 3.
+    Drag, rolling resistance and rotating mass of the vehicle are compensated by feed-forward.
     """
 
     vehicle: Vehicle
@@ -78,14 +90,14 @@ class SpeedController:
 
     @property
     def lead(self) -> float:
-        """How much sooner an acceleration is asked for than it is planned [s].
+        """Time by which commands precede the plan [s].
 
-        It is the time in which the brakes answer; the engine's spool takes about as long.
+        It is the response time of the brakes, and about the spool time of the engine.
         """
         return self.brake.delay + self.brake.tau_rise
 
     def start(self, vx: float) -> SpeedState:
-        """The state of a controller that begins at a speed [m/s], in the gear that fits it."""
+        """Return the initial state at a speed [m/s], in a suitable gear."""
         gear = 1
         while gear < len(self.vehicle.gear_ratios) and (
             self._engine_speed(vx, gear + 1) > self.settings.shift_down
@@ -96,9 +108,9 @@ class SpeedController:
     def command(
         self, state: SpeedState, desired: float, ax: float, vx: float, period: float
     ) -> tuple[Pedals, SpeedState]:
-        """Pedals for a desired speed [m/s] and its rate ax [m/s^2], at the measured speed vx.
+        """Return pedals for a desired speed [m/s] and its rate ax [m/s^2], and the new state.
 
-        period [s]: since the last command.
+        vx is the measured speed [m/s], and period the time since the last command [s].
         """
         miss, rules = desired - vx, self.settings
         integral = state.integral + rules.integral * miss * period
@@ -114,7 +126,7 @@ class SpeedController:
         else:
             throttle = needed.throttle
             if (throttle >= 1.0 and miss > 0) or (throttle <= 0.0 and miss < 0):
-                integral = state.integral  # more would only wind up
+                integral = state.integral  # anti-windup
         return Pedals(throttle, pressure, gear), SpeedState(
             integral, braking, since, gear, gear_since
         )
@@ -127,7 +139,7 @@ class SpeedController:
         return vx * float(self._model.levers[gear - 1])
 
     def _pedal(self, state: SpeedState, excess: float, period: float) -> tuple[bool, float]:
-        """Whether to brake, and for how long that has been so [s]."""
+        """Return whether to brake, and the time since the last change [s]."""
         since = state.since + period
         beyond = -excess if state.braking else excess
         if beyond > self.settings.dead_band and since >= self.settings.dwell:
@@ -135,7 +147,7 @@ class SpeedController:
         return state.braking, since
 
     def _gear(self, state: SpeedState, vx: float, period: float) -> tuple[int, float]:
-        """The gear, and for how long it has been in [s]."""
+        """Return the gear, and the time since the last shift [s]."""
         since = state.gear_since + period
         omega = self._engine_speed(vx, state.gear)
         if since >= self.settings.shift_dwell:

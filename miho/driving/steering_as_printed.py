@@ -1,4 +1,4 @@
-"""Path tracking by Eq. 13-15 as they are printed; `steering_control` has them corrected."""
+"""Path tracking by Eq. 13-15 as printed; `steering_control` has the corrected equations."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from miho.quantities import Array
 from miho.validate import positive
 
 INTERVAL = 5.0
-"""Width [m/s] of the intervals of velocity with one gain each; the paper gives none."""
+"""Width of the velocity intervals with one gain each [m/s]; the paper does not state it."""
 FASTEST = 90.0
-"""Speed [m/s] at which the last interval ends; its gain is held beyond."""
+"""End of the last interval [m/s], whose gain is used at higher speeds."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrintedSteering:
-    """The regulator delta = -K xi of Eq. 15, as it is printed.
+    """The regulator delta = -K xi of Eq. 15 as printed.
 
     Attributes
     ----------
     vehicle : Vehicle
-        The car, whose largest steering angle limits the command.
+        The car; its largest steering angle limits the command.
     model : LateralModel
         The lateral model (Eq. 13), with B C D of Eq. 14 as cornering stiffnesses [N/rad].
     K : ndarray, shape (k, 4)
-        Gains, a row for each interval of 5 m/s from standstill on.
+        Gains, one row for each interval of 5 m/s from standstill.
     period : float
-        Time from one command to the next [s], for which a command is held.
+        Time between commands [s]; a command is held over it.
 
     Notes
     -----
-    The equations contain neither a feed-forward of curvature and bank nor the delay and the lag of
-    the steering. In a steady turn the regulator therefore needs an error to steer at all.
-    The paper leaves some quantities open. They are read as follows.
+    The equations contain no feed-forward of curvature and bank, and no delay and lag of the
+    steering. In a steady turn, the regulator therefore steers only with an error.
+    The paper leaves some quantities open. They are interpreted as follows.
 
-    - The matrices of the model, which are not printed, are those of Rajamani, Vehicle Dynamics and
-      Control (2011), Ch. 2.5, to whom the paper refers. The stiffnesses are of whole axles, since
+    - The matrices of the model are not printed. They are taken from Rajamani, Vehicle Dynamics and
+      Control (2011), Ch. 2.5, which the paper cites. The stiffnesses are of whole axles, because
       the paper fits the sum of both tire forces; the factor 2 of the book does not occur.
     - An axle's B C D is the sum of B C D of its two tire curves.
     - e_psi' is the yaw rate less the path's yaw rate, v_x kappa.
     - Gains over piecewise velocity intervals: each interval of 5 m/s has the gain of its middle.
-    - There is no rule for slow driving: the gain of 2.5 m/s holds down to standstill.
+    - There is no rule for slow driving; the gain of 2.5 m/s is used down to standstill.
     """
 
     vehicle: Vehicle
@@ -73,7 +73,7 @@ class PrintedSteering:
         weights : Weights
             Q and R of Eq. 15.
         period : float, optional
-            Time from one command to the next [s].
+            Time between commands [s].
 
         Returns
         -------
@@ -91,11 +91,11 @@ class PrintedSteering:
 
     @property
     def initial(self) -> SteeringState:
-        """The state of a regulator without a memory."""
+        """Empty state, because the regulator has no memory."""
         return SteeringState(())
 
     def feed_forward(self, vx: float, curvature: float, bank: float) -> FeedForward:
-        """Steering angle L kappa [rad] and no slip: a guess where a measurement is missing."""
+        """Return the steering angle L kappa [rad] without slip, for missing measurements."""
         return FeedForward(self.vehicle.wheelbase * curvature, 0.0)
 
     def command(
@@ -107,10 +107,9 @@ class PrintedSteering:
         vx: float,
         steering: float,
     ) -> tuple[float, SteeringState]:
-        """The steering command [rad] at a speed vx [m/s], and the unchanged state.
+        """Return the steering command [rad] at a speed vx [m/s], and the unchanged state.
 
-        Line, place and measured angle of the wheels, which `SteeringController` needs, are not
-        read.
+        `line`, `at` and `steering` are not used; `SteeringController` needs them.
         """
         row = min(max(int(vx / INTERVAL), 0), len(self.K) - 1)
         largest = self.vehicle.steering_max

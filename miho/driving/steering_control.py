@@ -1,4 +1,4 @@
-"""The steering command: feed-forward of curvature and bank, and the regulator's feedback."""
+"""Steering control by feed-forward of curvature and bank, and feedback of the regulator."""
 
 from __future__ import annotations
 
@@ -18,16 +18,26 @@ from miho.models.load_scaling import PROPORTIONAL, LoadSensitivity, growth
 from miho.quantities import Array
 
 STEEPEST = 0.15
-"""Slip angle [rad] up to which an axle's curve is looked at."""
+"""Largest slip angle of an axle's curve [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class AxleSlip:
-    """The slip angle [rad] that gives an axle's lateral force, ISO-W, from its curve at a load.
+    """Slip angle of an axle as a function of lateral force and load, ISO-W.
 
-    force (k,) rising [N] and slip (k,) [rad]: the part of the curve between its two peaks; beyond
-    the peaks the slip stays there. load [N]: of the axle, both wheels. At another load the curve
-    is stretched about its centre [rad] by `growth`; without sensitivity it grows in proportion.
+    Parameters
+    ----------
+    load : float
+        Load of the axle, both wheels [N]. At another load, the curve is stretched about its centre
+        by `growth`.
+    force : ndarray, shape (k,)
+        Rising lateral forces between the two peaks [N]; beyond the peaks the slip is constant.
+    slip : ndarray, shape (k,)
+        Slip angles [rad].
+    centre : float, optional
+        Centre of the curve [rad].
+    sensitivity : LoadSensitivity, optional
+        By default forces are proportional to the load.
     """
 
     load: float
@@ -38,7 +48,7 @@ class AxleSlip:
 
     @classmethod
     def of(cls, axle: Axle, load: float, sensitivity: LoadSensitivity = PROPORTIONAL) -> AxleSlip:
-        """The slip of an axle whose tires' curves hold at this load of both [N]."""
+        """Return the slip of an axle with curves at this load of both wheels [N]."""
         slip = np.linspace(-STEEPEST, STEEPEST, 601)
         force = axle.force(slip)
         left, right = int(np.argmax(force)), int(np.argmin(force))
@@ -53,26 +63,28 @@ class AxleSlip:
         return cls(load, force[part][::-1], slip[part][::-1], centre, sensitivity)
 
     def at(self, force: float, load: float) -> float:
-        """The slip angle [rad] for a lateral force at a load of the axle [N]."""
+        """Return the slip angle [rad] for a lateral force [N] at a load of the axle [N]."""
         peak, stiffness = growth(max(load, 1.0) / self.load, self.sensitivity)
         slip = float(np.interp(force / peak, self.force, self.slip))
         return self.centre + (slip - self.centre) * float(peak / stiffness)
 
 
 class FeedForward(NamedTuple):
-    """A steady turn: the steering angle delta of the road wheels and the slip angle of the car at
-    its centre of gravity, vy / vx [rad]."""
+    """Steering angle delta of the road wheels [rad] and slip angle vy / vx [rad] in a steady turn.
+
+    The slip angle refers to the centre of gravity.
+    """
 
     steering: float
     slip: float
 
 
 class SteeringState(NamedTuple):
-    """What the controller remembers.
+    """State of the controller.
 
-    past: the feedback parts of the last commands [rad], the newest first, (d,); sent: the whole
-    commands likewise, at least one; expected: errors and steering at the next measurement, (5,), as
-    `ErrorEstimator` has them. sent is empty and expected is None before the first command.
+    past has the feedback parts of the last d commands [rad], the newest first. sent has the whole
+    commands, at least one. expected are errors and steering at the next measurement, (5,), as in
+    `ErrorEstimator`. Before the first command, sent is empty and expected is None.
     """
 
     past: tuple[float, ...]
@@ -81,7 +93,7 @@ class SteeringState(NamedTuple):
 
 
 class TrackingError(NamedTuple):
-    """xi of Eq. 13: how far left of the path [m], its rate [m/s], the heading's [rad], [rad/s]."""
+    """xi of Eq. 13: offset to the left [m] and its rate [m/s], heading error [rad], [rad/s]."""
 
     e_y: float
     e_y_rate: float
@@ -91,13 +103,13 @@ class TrackingError(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SteeringController:
-    """u = u_ff - K (z - z_ff) on a line, with the state z of `SampledModel`.
+    """Controller u = u_ff - K (z - z_ff) on a line, with the state z of `SampledModel`.
 
-    z_ff is the steady turn where the car is, and u_ff the angle of the one where it will be once
-    delay and lag have passed; the axles' curves give the slip that it takes, on a bank less the
-    part of the turn that weight does. The errors and the steering in z are estimates where there
-    is an estimator, else as measured. The command never turns faster than the rack. Below 3 m/s
-    there is no slip to speak of, and the path is followed by geometry alone.
+    z_ff is the steady turn at the position of the car, and u_ff is the steering angle of the steady
+    turn at its position after delay and lag. The slip follows from the curves of the axles; on a
+    bank, weight contributes to the lateral force. The errors and the steering in z are estimates of
+    `estimator`, or measurements without it. The command is limited to the rate of the rack. Below
+    3 m/s the path is followed by geometry only, without slip.
     """
 
     vehicle: Vehicle
@@ -108,16 +120,16 @@ class SteeringController:
 
     @property
     def period(self) -> float:
-        """Time from one command to the next [s]."""
+        """Time between commands [s]."""
         return self.schedule.sampled.period
 
     @property
     def initial(self) -> SteeringState:
-        """The state of a controller that has done nothing yet."""
+        """State before the first command."""
         return SteeringState((0.0,) * self.schedule.sampled.delayed)
 
     def feed_forward(self, vx: float, curvature: float, bank: float) -> FeedForward:
-        """What a steady turn asks at a speed [m/s], a curvature in the plan [1/m] and a bank."""
+        """Return the steady turn at a speed [m/s], plan curvature [1/m] and bank [rad]."""
         car = self.vehicle
         lateral, gravity = (float(part) for part in demand(vx, curvature, bank))
         force = car.mass * lateral / car.wheelbase
@@ -136,9 +148,10 @@ class SteeringController:
         vx: float,
         steering: float,
     ) -> tuple[float, SteeringState]:
-        """The steering command [rad] and the state after it.
+        """Return the steering command [rad] and the new state.
 
-        at: where the car is on the line; vx [m/s]; steering: measured angle of the wheels [rad].
+        `at` is the position on the line, vx the speed [m/s], and steering the measured angle of the
+        wheels [rad].
         """
         if vx < SLOWEST:
             u = self._reachable(state, self._by_geometry(line, at, error))
@@ -148,7 +161,7 @@ class SteeringController:
         ahead = line.at(at.s + vx * (actuator.delay + actuator.lag))
         now = self.feed_forward(vx, float(point.curvature), float(point.bank))
         later = self.feed_forward(vx, float(ahead.curvature), float(ahead.bank))
-        # A car that slips outward points into the turn.
+        # The heading error of a steady turn is the negative slip angle.
         steady = np.array([0.0, 0.0, -now.slip, 0.0, now.steering])
         x = np.array([*error, steering]) - steady
         if self.estimator is not None and state.expected is not None:
@@ -162,7 +175,7 @@ class SteeringController:
         return u, _remember(state, u - later.steering, u, expected)
 
     def _reachable(self, state: SteeringState, u: float) -> float:
-        """The command [rad] nearest to u that the rack reaches from the last one in a period."""
+        """Return u [rad] limited to angles that the rack reaches within a period."""
         largest = self.vehicle.steering_max
         if state.sent:
             turn = self.vehicle.steering_rate * self.schedule.sampled.period
@@ -170,7 +183,7 @@ class SteeringController:
         return min(max(u, -largest), largest)
 
     def _by_geometry(self, line: Track, at: Projection, error: TrackingError) -> float:
-        """The angle of an arc through the path 6 m ahead (pure pursuit)."""
+        """Return the angle of an arc to the path 6 m ahead (pure pursuit)."""
         reach = 6.0
         bend = float(line.at(at.s + reach / 2).curvature)
         arc = bend - 2 * (error.e_y + reach * error.e_psi) / reach**2
@@ -180,7 +193,7 @@ class SteeringController:
 def _remember(
     state: SteeringState, feedback: float, u: float, expected: Array | None
 ) -> SteeringState:
-    """The state after one more command u [rad], of which a part is feedback."""
+    """Return the state after a command u [rad] with its feedback part."""
     d = len(state.past)
     return SteeringState((feedback, *state.past)[:d], (u, *state.sent)[: max(d, 1)], expected)
 
@@ -188,7 +201,7 @@ def _remember(
 def tracking_error(
     line: Track, at: Projection, yaw: float, vx: float, vy: float, yaw_rate: float
 ) -> TrackingError:
-    """The errors of a car at a point of a line; velocities [m/s], [rad/s] about its own axes."""
+    """Return the errors of a car at a point of a line, from velocities in the axes of the car."""
     point = line.at(at.s)
     e_psi = math.remainder(yaw - float(point.heading), math.tau)
     along = (vx * math.cos(e_psi) - vy * math.sin(e_psi)) / (1 - float(point.curvature) * at.e)

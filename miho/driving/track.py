@@ -1,4 +1,4 @@
-"""A closed line on a road: where it is, how it bends and leans, how wide the road is beside it."""
+"""A closed line on a road, with curvature, bank and width of the road."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from miho.driving.compiling import compiled
 from miho.quantities import Array
 
 GAP = 0.05
-"""How far the end of a closed line may be from its start [m]."""
+"""Largest gap between the end and the start of a closed line [m]."""
 FEWEST = 16
 
 
 class TrackPoint(NamedTuple):
-    """The line at some arc lengths; units and signs as in `Track`, shapes as those of s."""
+    """Points of a line, with units and signs of `Track` and the shape of the arc lengths."""
 
     x: Array
     y: Array
@@ -31,7 +31,7 @@ class TrackPoint(NamedTuple):
 
 
 class Projection(NamedTuple):
-    """The nearest point of a line: its arc length s [m], and the offset e [m], left positive."""
+    """Arc length s [m] of the nearest point of a line, and offset e [m], positive to the left."""
 
     s: float
     e: float
@@ -39,13 +39,33 @@ class Projection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A closed line, driven in the direction of rising s, in n points at equal distances.
+    """A closed line with n equidistant points, driven in the direction of rising s.
 
-    length [m]; s (n,) [m], from 0 in steps of length / n, so that the last point is a step before
-    the first one. x, y [m] east and north; heading [rad], from the x axis, counter-clockwise and
-    without jumps; curvature [1/m], positive to the left; bank [rad], positive when the left side
-    is lower, as in a left turn of an oval. Arc length and positions are those of the plan view, as
-    seen from above. width_left, width_right [m]: from the line to the edge of the road.
+    Arc length and positions refer to the plan view.
+
+    Parameters
+    ----------
+    name : str
+        Name of the track.
+    length : float
+        Length of a lap [m].
+    s : ndarray, shape (n,)
+        Arc lengths [m], from 0 in steps of length / n; the last point is one step before the first.
+    x, y : ndarray, shape (n,)
+        Position [m], east and north.
+    heading : ndarray, shape (n,)
+        Heading [rad], counter-clockwise from the x axis and without jumps.
+    curvature : ndarray, shape (n,)
+        Curvature [1/m], positive to the left.
+    bank : ndarray, shape (n,)
+        Bank [rad], positive if the left side is lower, as in a left turn of an oval.
+    width_left, width_right : ndarray, shape (n,)
+        Distance from the line to the edges of the road [m].
+
+    Raises
+    ------
+    ValueError
+        If shapes or values are invalid, or if the line is not closed.
     """
 
     name: str
@@ -96,21 +116,22 @@ class Track:
         return float(2 * math.pi * round((self.heading[-1] + bend - self.heading[0]) / math.tau))
 
     def at(self, s: ArrayLike) -> TrackPoint:
-        """The line at arc lengths [m] of any shape, beyond a lap too; the heading goes on."""
+        """Return points at arc lengths [m] of any shape and lap; the heading is continuous."""
         s = np.asarray(s, dtype=float)
         rows = _points(s.ravel(), self.length, self.turn, *self._columns)
         return TrackPoint(*rows.reshape(7, *s.shape))
 
     def position(self, s: ArrayLike, e: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """x and y [m] at an offset e [m] to the left of the line; arguments broadcast."""
+        """Return x and y [m] at an offset e [m] to the left of the line; arguments broadcast."""
         point = self.at(s)
         e = np.asarray(e, dtype=float)
         return point.x - e * np.sin(point.heading), point.y + e * np.cos(point.heading)
 
     def project(self, x: float, y: float, hint: float | None = None) -> Projection:
-        """The point of the line whose normal goes through (x, y), near the arc length `hint`.
+        """Project (x, y) on the line, near the arc length `hint`.
 
-        Without a hint the search begins at the nearest of the points. s is from 0 to the length.
+        The normal of the line at the result goes through (x, y). Without a hint, the search starts
+        at the nearest point. s is between 0 and the length.
         """
         if hint is None:
             hint = float(self.s[np.argmin((self.x - x) ** 2 + (self.y - y) ** 2)])
@@ -119,7 +140,7 @@ class Track:
 
     @property
     def _columns(self) -> tuple[Array, ...]:
-        """The arrays of the track in the order of `TrackPoint`."""
+        """Arrays of the track in the order of `TrackPoint`."""
         return (
             self.x, self.y, self.heading, self.curvature, self.bank, self.width_left,
             self.width_right,
@@ -142,7 +163,7 @@ def _points(
     s: Array, length: float, turn: float, xs: Array, ys: Array, heading: Array,
     curvature: Array, bank: Array, left: Array, right: Array,
 ) -> Array:  # fmt: skip
-    """The rows of `TrackPoint` (7, m) at arc lengths (m,).
+    """Return the rows of `TrackPoint` (7, m) at arc lengths (m,).
 
     Within a cell the position is on an arc: the chord has the heading of its middle.
     """
@@ -178,7 +199,7 @@ def _project(
     heading: Array,
     curvature: Array,
 ) -> tuple[float, float]:
-    """Newton's method on the distance along the line; `Track.project`."""
+    """Project by Newton's method on the distance along the line, for `Track.project`."""
     n = xs.size
     step = length / n
     e = 0.0

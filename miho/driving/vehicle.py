@@ -1,4 +1,4 @@
-"""The car that is planned for, controlled and simulated."""
+"""Parameters of a car for planning, control and simulation."""
 
 from __future__ import annotations
 
@@ -21,37 +21,70 @@ SIGNED = frozenset(("inclination_front", "inclination_rear"))
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """A car with driven rear wheels: what belongs to it and not to its tires, engine and brake.
+    """Parameters of a car with driven rear wheels, without tires, engine and brake.
 
-    ISO axes: x forward, y left, z up. All in SI units and radians. The fields of `SingleTrack` and
-    `Longitudinal` have their names and meaning.
+    ISO axes: x forward, y left, z up. All values are in SI units and radians. Fields of
+    `SingleTrack` and `Longitudinal` have the same names and meaning.
 
-    Mass and geometry. mass [kg]; lf, lr: centre of gravity to the front and rear axle [m]; Izz:
-    yaw inertia [kg m^2]; h_cg: height of the centre of gravity above the ground [m]; track_front,
-    track_rear [m]; wheel_radius_front and wheel_radius (of the driven rear wheels) [m].
+    Parameters
+    ----------
+    mass : float
+        Mass [kg].
+    lf, lr : float
+        Distance from the centre of gravity to the front and rear axle [m].
+    Izz : float
+        Yaw inertia [kg m^2].
+    h_cg : float
+        Height of the centre of gravity above the ground [m].
+    track_front, track_rear : float
+        Track widths [m].
+    wheel_radius_front, wheel_radius : float
+        Radii of the front wheels and of the driven rear wheels [m].
+    C_d : float
+        Drag [N s^2/m^2]; like C_l, half the air density times coefficient and area.
+    C_l_front, C_l_rear : float
+        Downforce on each axle [N s^2/m^2], positive down, as measured by a balance under the
+        wheels, so that it includes the moment of the drag.
+    C_r : float
+        Rolling resistance of the car [N].
+    roll_share_front : float
+        Share of the front axle in the roll stiffness [-].
+    roll_centre_front, roll_centre_rear : float
+        Heights of the roll centres [m].
+    unsprung_mass_front, unsprung_mass_rear : float
+        Unsprung mass of both wheels of an axle, at the height of the hubs [kg].
+    inclination_front, inclination_rear : float
+        ISO-W inclination (camber) of both wheels [rad], positive if the top leans to the right.
+    load_lag : float
+        Time constant between accelerations and wheel loads [s].
+    gear_ratios : tuple of float
+        Gear ratios [-], gear 1 first.
+    final_drive, efficiency : float
+        Final drive and efficiency [-].
+    engine_inertia, wheel_inertia : float
+        Inertia of the engine at engine speed, and of all wheels and shafts at wheel speed [kg m^2].
+    idle_speed, engine_speed_max : float
+        Smallest and largest engine speed [rad/s].
+    spool_rise, spool_fall : float
+        Time constants of rising and falling torque [s].
+    shift_time : float
+        Time without drive in a shift [s].
+    differential_damping : float
+        Torque between the rear wheels per difference of their speeds [N m s], 0 for an open
+        differential.
+    steering_ratio : float
+        Angle of the steering wheel per angle of the road wheels [-].
+    steering_delay, steering_lag : float
+        Dead time and first-order time constant of the road wheels [s].
+    steering_rate, steering_max : float
+        Largest rate [rad/s] and angle [rad] of the road wheels.
+    relaxation_x, relaxation_y : float
+        Relaxation lengths of the slips [m].
 
-    Air and rolling. C_d: drag [N s^2/m^2]; C_l_front, C_l_rear: downforce on each axle
-    [N s^2/m^2], positive down, as a balance under the wheels measures it, so that the moment of the
-    drag is in it; all three are half the air density times coefficient and area. C_r: rolling
-    resistance of the car [N].
-
-    Suspension. roll_share_front: the front axle's part of the roll stiffness [-];
-    roll_centre_front, roll_centre_rear: heights of the roll centres [m]; unsprung_mass_front,
-    unsprung_mass_rear: of both wheels of the axle, at the height of their hubs [kg];
-    inclination_front, inclination_rear: ISO-W inclination (camber) of both wheels [rad], positive
-    when the top leans to the right; load_lag: time constant with which the load follows the
-    accelerations [s].
-
-    Driveline. gear_ratios [-], gear 1 first; final_drive [-]; efficiency [-]; engine_inertia at
-    engine speed and wheel_inertia of all wheels and shafts at wheel speed [kg m^2]; idle_speed and
-    engine_speed_max [rad/s]; spool_rise, spool_fall: time constants of the torque when it rises
-    and falls [s]; shift_time: without drive at a change of gear [s]; differential_damping: torque
-    between the rear wheels per difference of their speeds [N m s], 0 for an open differential.
-
-    Steering, at the road wheels. steering_ratio: steering wheel to road wheel [-];
-    steering_delay, steering_lag (first order) [s]; steering_rate [rad/s]; steering_max [rad].
-
-    Tires. relaxation_x, relaxation_y: relaxation lengths of the slips [m].
+    Raises
+    ------
+    ValueError
+        If a value is out of range.
     """
 
     mass: float
@@ -122,7 +155,7 @@ class Vehicle:
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Vehicle:
-        """A vehicle from plain settings, as files of the configuration give them."""
+        """Make a vehicle from plain settings of a configuration."""
         allowed = [field.name for field in fields(cls)]
         for name in settings:
             if name not in allowed:
@@ -137,23 +170,23 @@ class Vehicle:
 
     @property
     def wheelbase(self) -> float:
-        """Front to rear axle [m]."""
+        """Distance between the axles [m]."""
         return self.lf + self.lr
 
     @property
     def single_track(self) -> SingleTrack:
-        """Its single-track model."""
+        """Single-track model of the car."""
         return SingleTrack(mass=self.mass, lf=self.lf, lr=self.lr, Izz=self.Izz)
 
     @property
     def longitudinal(self) -> Longitudinal:
-        """Its longitudinal model; the wheels' inertia acts at the radius of the driven ones."""
+        """Longitudinal model; the inertia of all wheels acts at the radius of the driven wheels."""
         names = [field.name for field in fields(Longitudinal)]
         return Longitudinal(**{name: getattr(self, name) for name in names})
 
 
 def _check(name: str, value: Any) -> None:
-    """Raise ValueError unless a field holds a number it can have."""
+    """Raise ValueError unless the value of a field is valid."""
     if name == "gear_ratios":
         if not isinstance(value, tuple) or not value or not all(map(_positive, value)):
             raise ValueError(f"gear_ratios is {value!r}; give a positive ratio for each gear")

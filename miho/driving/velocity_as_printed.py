@@ -1,4 +1,4 @@
-"""The velocity plan by Eq. 10-12 as they are printed; `velocity_planner` has them corrected."""
+"""Velocity plans by Eq. 10-12 as printed; `velocity_planner` has the corrected equations."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from miho.quantities import Array, g
 from miho.validate import positive_settings
 
 STRAIGHT = 1e-9
-"""Curvature [1/m] below which Eq. 12 is evaluated as if the road had this one."""
+"""Smallest curvature [1/m] in Eq. 12."""
 
 
 @dataclass(frozen=True)
 class PrintedPlanner:
-    """Speeds by the printed equations, for a whole line or from the measured motion of a car.
+    """Speeds by the printed equations, for a whole line or for the measured motion of a car.
 
         C_roll = m_s v_y' h_a                                                        (Sec. IV-A)
         F_y,i^max = mu (F_z,i / F_z,i^nominal) F_y,i^peak                               (Eq. 10)
@@ -32,17 +32,17 @@ class PrintedPlanner:
     Parameters
     ----------
     vehicle : Vehicle
-        The car; of its suspension the printed load transfer takes the roll couple alone.
+        The car. The printed load transfer uses only the roll couple of its suspension.
     grip : Grip
-        Nominal loads [N] and peaks [N] of the tires. The load sensitivities are not read.
+        Nominal loads [N] and peaks [N] of the tires. Load sensitivities are not used.
     mu : float, optional
         Performance factor of Eq. 10 [-].
     top_speed : float, optional
-        Speed [m/s] that is never exceeded; Eq. 12 gives no limit on a straight.
+        Largest speed [m/s]; Eq. 12 gives no limit on a straight.
     transfer : bool, optional
-        True moves load by the lateral acceleration of the plan, and not by v_y'.
+        If true, load transfer follows from the lateral acceleration of the plan instead of v_y'.
     yaw_term : bool, optional
-        False leaves m v_x psi' out of Eq. 11.
+        If false, Eq. 11 is used without m v_x psi'.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class PrintedPlanner:
 
     Notes
     -----
-    The paper leaves some of these quantities open. They are read as follows.
+    The paper leaves some of these quantities open. They are interpreted as follows.
 
     - F_z: the static load of each wheel, with the roll couple shared by the axles in proportion to
       their roll stiffness and divided by the track. Downforce, banking and longitudinal transfer
@@ -61,12 +61,12 @@ class PrintedPlanner:
       bend.
     - Signs: forces, psi' and kappa count as positive towards the inside of the bend.
     - A negative a_y,max has no root; the desired speed is then 0.
-    - A kappa below 1e-9 1/m counts as 1e-9 1/m, so that the top speed stands on a straight.
+    - A kappa below 1e-9 1/m counts as 1e-9 1/m, so that straights have the top speed.
 
-    `speeds` and `plan` know only a line. They take the motion of a car that follows it in a
-    steady turn: v_y' = 0, psi' = v_x kappa and delta = L kappa. Eq. 11 and 12 are then
-    2 v_x^2 kappa = F / m with the force F of both axles, so that the speed is sqrt(1/2) = 0.707 of
-    the limit of these forces. `speed` takes the motion as it is measured.
+    `speeds` and `plan` assume that the car follows the line in a steady turn: v_y' = 0,
+    psi' = v_x kappa and delta = L kappa. Eq. 11 and 12 are then 2 v_x^2 kappa = F / m with the
+    force F of both axles, so the speed is sqrt(1/2) = 0.707 times the limit of these forces.
+    `speed` uses the measured motion.
     """
 
     vehicle: Vehicle
@@ -85,14 +85,14 @@ class PrintedPlanner:
         Parameters
         ----------
         line : Track
-            Line that the car follows.
+            Line of the car.
 
         Returns
         -------
         VelocityPlan
             Speeds by Eq. 12. `lateral` is v_x^2 kappa, `limit` is a_y,max of Eq. 11 at these
-            speeds [m/s^2], and `use` is the share of the limit. No pass limits the acceleration
-            between two points. `friction` is that of the corrected plan, which judges drives.
+            speeds [m/s^2], and `use` is their ratio. Accelerations between points are not
+            limited. `friction` has the limits of the corrected plan, for the evaluation of drives.
         """
         v = self.speeds(line)
         lateral = v**2 * line.curvature
@@ -103,25 +103,25 @@ class PrintedPlanner:
         return VelocityPlan(line, v, ax, lateral, limit, np.abs(lateral) / limit, friction)
 
     def speeds(self, line: Track) -> Array:
-        """Desired speeds [m/s] at the points of a line in a steady turn, (n,)."""
+        """Return the desired speeds [m/s] at the points of a line in a steady turn, (n,)."""
         bend = np.maximum(np.abs(line.curvature), STRAIGHT)
-        # With psi' = v kappa, Eq. 11 and 12 are v^2 kappa = F / m - v^2 kappa.
+        # With psi' = v kappa, Eq. 11 and 12 become v^2 kappa = F / m - v^2 kappa.
         v = np.sqrt(self._ay_max(line) / (2 if self.yaw_term else 1) / bend)
         return np.asarray(np.minimum(v, self.top_speed))
 
     def speed(self, motion: Motion, curvature: float, bank: float = 0.0) -> float:
-        """Desired speed of a car from its motion at this moment.
+        """Return the desired speed of a car for its measured motion.
 
         Parameters
         ----------
         motion : Motion
             Measured motion: v_x [m/s], psi' [rad/s], delta [rad] and the accelerometer's a_y
-            [m/s^2], of which v_y' = a_y + g sin(bank) - v_x psi' remains. With `transfer` it is
-            a_y that moves the load.
+            [m/s^2], which gives v_y' = a_y + g sin(bank) - v_x psi'. With `transfer`, load
+            transfer follows from a_y.
         curvature : float
-            Curvature of the path at the car [1/m]; the equations look no further.
+            Curvature of the path at the car [1/m]; the equations have no preview.
         bank : float, optional
-            Bank of the road at the car [rad]. Only v_y' is corrected for it.
+            Bank of the road at the car [rad], used in v_y' only.
 
         Returns
         -------
@@ -139,7 +139,7 @@ class PrintedPlanner:
         return min(math.sqrt(max(ay_max, 0.0) / bend), self.top_speed)
 
     def _ay_max(self, line: Track) -> Array:
-        """Eq. 11 without the yaw term, (n,) [m/s^2], where a car follows a line."""
+        """Return Eq. 11 without the yaw term, (n,) [m/s^2], for a car on a line."""
         toward = np.where(line.curvature < 0, -1.0, 1.0)
         ay = np.zeros(line.curvature.size)
         for _ in range(21 if self.transfer else 1):
@@ -150,7 +150,7 @@ class PrintedPlanner:
         return np.asarray(ay)
 
     def _axles(self, moving: Array, curvature: Array) -> tuple[Array, Array]:
-        """F_y,r^max and F_y,f^max [N], (n,): Eq. 10, at accelerations that move the load, (n,)."""
+        """Return F_y,r^max and F_y,f^max [N], (n,), by Eq. 10 at accelerations `moving`, (n,)."""
         transfer = LoadTransfer(self.vehicle, as_printed=not self.transfer)
         loads = np.stack(transfer.wheel_loads(0.0, 0.0, moving, vy_rate=moving), axis=1)
         peaks = np.where(curvature[:, None] < 0, self.grip.right, self.grip.left)

@@ -1,8 +1,8 @@
-"""Velocity plans (Sec. IV-A): the fastest that tires, engine and brakes allow on a closed line.
+"""Velocity plans (Sec. IV-A): the largest speeds on a closed line for tires, engine and brakes.
 
-Eq. 10-12, corrected: load sensitivity instead of the load ratio alone, load transfer by the
-lateral acceleration of the steady turn, the limit of each axle, banking, downforce, the friction
-ellipse, and braking ahead. `velocity_as_printed` has the equations as they are printed.
+Eq. 10-12 are corrected by load sensitivity in addition to the load ratio, load transfer from the
+lateral acceleration of the steady turn, limits of each axle, banking, downforce, the friction
+ellipse, and braking ahead of turns. `velocity_as_printed` has the printed equations.
 """
 
 from __future__ import annotations
@@ -31,17 +31,28 @@ from miho.quantities import Array
 from miho.validate import positive_settings
 
 SCAN = 2.0
-"""Step [m/s] in which the lateral limit is looked for before it is bisected."""
+"""Step of the search for the lateral limit before bisection [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class VelocityPlan:
-    """Speeds v [m/s] at the arc lengths s [m] of a line, and what they ask of the car, (n,) each.
+    """Speeds at the points of a line, with their demand on the car.
 
-    ax [m/s^2]: from each point to the next, at which the speed's square is linear between them.
-    lateral: as in `Demand`; limit: the largest magnitude of it at this speed and ax that leaves
-    the tires' friction as planned, in the direction in which it acts. use: of the friction
-    ellipse of the worse axle, 1 at its limit. friction: the limits, as they are planned with.
+    Attributes
+    ----------
+    line : Track
+        The line with n points.
+    v : ndarray, shape (n,)
+        Speed [m/s].
+    ax : ndarray, shape (n,)
+        Constant acceleration from each point to the next one [m/s^2].
+    lateral, limit : ndarray, shape (n,)
+        Lateral demand as in `Demand`, and its largest magnitude in the same direction within the
+        planned friction at this speed and acceleration [m/s^2].
+    use : ndarray, shape (n,)
+        Use of the friction ellipse by the worse axle, 1 at the limit [-].
+    friction : FrictionCar
+        Planned friction limits.
     """
 
     line: Track
@@ -53,7 +64,7 @@ class VelocityPlan:
     friction: FrictionCar
 
     def at(self, s: float) -> tuple[float, float]:
-        """Speed [m/s] and acceleration [m/s^2] at an arc length [m], beyond a lap too."""
+        """Return the speed [m/s] and acceleration [m/s^2] at an arc length [m] of any lap."""
         steps = (s % self.line.length) / self.line.step
         i = min(int(steps), self.v.size - 1)
         v = float(self.v[i])
@@ -68,7 +79,7 @@ class VelocityPlan:
 
 
 class _Powers(NamedTuple):
-    """Accelerations [m/s^2] over speeds [m/s]: most by the engine, least by the brakes."""
+    """Largest acceleration by the engine and smallest by the brakes [m/s^2] over speed [m/s]."""
 
     speeds: Array
     most: Array
@@ -77,13 +88,32 @@ class _Powers(NamedTuple):
 
 @dataclass(frozen=True)
 class VelocityPlanner:
-    """Plans for a car with what is known of its tires, engine and brakes.
+    """Planner of speeds for a car with identified tires, engine and brakes.
 
-    mu [-]: the performance factor of Eq. 10, which scales all tire forces. top_speed [m/s] is
-    never exceeded. brake_share [-] of the largest brake force may be planned with. reserve [-]:
-    the share of the tires' forces within mu that the speeds leave to the controllers, because a
-    car that is brought into a turn, or into braking, overshoots the steady values of the plan.
-    engine None leaves drive and drag out, brake None the brake's own limit: then tires alone count.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    grip : Grip
+        Largest forces of the tires.
+    engine : EngineMap, optional
+        The engine; by default, drive and drag do not limit the plan.
+    brake : Brake, optional
+        The brake; by default, only the tires limit braking.
+    mu : float, optional
+        Performance factor of Eq. 10, which scales all tire forces [-].
+    top_speed : float, optional
+        Largest speed [m/s].
+    brake_share : float, optional
+        Share of the largest brake force for plans [-].
+    reserve : float, optional
+        Share of the tire forces within mu that is reserved for the controllers [-], because a car
+        that enters a turn or brakes overshoots the steady values of the plan.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
     """
 
     vehicle: Vehicle
@@ -102,17 +132,17 @@ class VelocityPlanner:
 
     @property
     def friction(self) -> FrictionCar:
-        """The tires' limits with the performance factor mu, the reserve included."""
+        """Friction limits with the performance factor mu, including the reserve."""
         share = 0.5 if self.brake is None else front_share(self.brake)
         return friction_car(self.vehicle, self.grip, self.mu, share, self.engine is not None)
 
     @property
     def _planned(self) -> FrictionCar:
-        """The limits that the speeds keep to."""
+        """Friction limits of the planned speeds, without the reserve."""
         return self.friction._replace(mu=self.mu * (1 - self.reserve))
 
     def plan(self, line: Track) -> VelocityPlan:
-        """The fastest plan for laps of a closed line; raises ValueError where no speed is safe."""
+        """Return the fastest plan for laps of a line; raises ValueError if no speed is safe."""
         limits = self.lateral_limits(line)
         if not (limits > 0).all():
             i = int(np.argmin(limits))
@@ -128,7 +158,7 @@ class VelocityPlanner:
         return VelocityPlan(line, v, ax, lateral, limit, use, self.friction)
 
     def lateral_limits(self, line: Track) -> Array:
-        """Largest speeds (n,) [m/s] that can be kept at each point of a line; 0 where none can."""
+        """Return the largest steady speed at each point of a line, (n,) [m/s]; 0 if none."""
         highest = self._highest(self._powers())
         return np.asarray(_lateral_limits(self._planned, line.curvature, line.bank, highest))
 
@@ -143,12 +173,12 @@ class VelocityPlanner:
         return _Powers(speeds, most, least)
 
     def _highest(self, powers: _Powers) -> float:
-        """The top speed, or where the engine no longer keeps it."""
+        """Return the largest speed of the engine, at most the top speed."""
         weak = powers.most < 0
         if weak[0]:
             raise ValueError(
                 f"the engine accelerates the car by {powers.most[0]:.3g} m/s^2 at 1 m/s; expected "
-                "one that drives it"
+                "a positive acceleration"
             )
         return min(
             self.top_speed, float(powers.speeds[np.argmax(weak) - 1]) if weak.any() else np.inf
@@ -156,7 +186,7 @@ class VelocityPlanner:
 
 
 def full_throttle(vehicle: Vehicle, engine: EngineMap, speeds: Array) -> Array:
-    """Largest acceleration [m/s^2] of the engine in its best gear at speeds (n,) [m/s]."""
+    """Return the largest acceleration [m/s^2] in the best gear at speeds (n,) [m/s]."""
     drive = vehicle.longitudinal
     best = np.full(speeds.shape, -np.inf)
     for gear in range(1, len(vehicle.gear_ratios) + 1):
@@ -168,7 +198,7 @@ def full_throttle(vehicle: Vehicle, engine: EngineMap, speeds: Array) -> Array:
 
 
 def front_share(brake: Brake) -> float:
-    """The front axle's share of a large brake force [-]."""
+    """Return the share of the front axle in a large brake force [-]."""
     front, rear = brake.pressure(brake.u1)
     at_front = brake.K_front * max(float(front) - brake.P0_front, 0.0) / brake.radius_front
     at_rear = brake.K_rear * max(float(rear) - brake.P0_rear, 0.0) / brake.radius_rear
@@ -177,17 +207,17 @@ def front_share(brake: Brake) -> float:
 
 @compiled
 def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: float) -> Array:
-    """Largest speeds (n,) that can be kept in a turn, with all below them down to a least one.
+    """Return the upper ends (n,) of the ranges of steady speeds at each point.
 
-    0 where there is none: too steep or too tight for the grip.
+    The result is 0 if there is no such speed, because the road is too steep or too tight.
     """
     limits = np.zeros(curvature.size)
     for i in range(curvature.size):
         if i and curvature[i] == curvature[i - 1] and bank[i] == bank[i - 1]:
             limits[i] = limits[i - 1]
             continue
-        # A scan finds the last speed that holds before one that does not: on a steep bank slow
-        # speeds may not hold either. Bisection between the two gives the limit.
+        # Scan for the last possible speed before an impossible one, because low speeds may be
+        # impossible on a steep bank. Then bisect between the two.
         good, v = 0.0, 0.0
         while v < highest:
             v = min(v + SCAN, highest)
@@ -211,11 +241,11 @@ def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: fl
 def _passes(
     car: FrictionCar, powers: _Powers, curvature: Array, bank: Array, limits: Array, step: float
 ) -> Array:
-    """Speeds (n,) below the limits that engine, brakes and tires can go through in turn."""
-    # Both passes begin where the limit is lowest: no acceleration or braking reaches beyond it.
+    """Return speeds (n,) below the limits with feasible accelerations between points."""
+    # Both passes begin at the lowest limit, which is not affected by other points.
     n, start = limits.size, np.argmin(limits)
     v = limits.copy()
-    # Forwards: from point i to the next one, j, the car gains no more speed than it can.
+    # Forward pass: limit the gain of speed from point i to the next point j.
     for k in range(n):
         i, j = (start + k) % n, (start + k + 1) % n
         needed = (v[j] * v[j] - v[i] * v[i]) / (2 * step)
@@ -223,7 +253,7 @@ def _passes(
         if needed > 0:
             ax = _largest(car, v[i], min(needed, max(engine, 0.0)), curvature[i], bank[i])
             v[j] = min(v[j], math.sqrt(v[i] * v[i] + 2 * ax * step))
-    # Backwards: it enters each step no faster than it can slow down in it.
+    # Backward pass: limit the speed at which the car enters a step by its deceleration.
     for k in range(n):
         i, j = (start - k - 1) % n, (start - k) % n
         if v[i] > v[j]:
@@ -233,7 +263,7 @@ def _passes(
 
 @part
 def _largest(car: FrictionCar, v: float, highest: float, curvature: float, bank: float) -> float:
-    """The largest acceleration [m/s^2] from 0 to `highest` that the tires bear."""
+    """Return the largest acceleration [m/s^2] from 0 to `highest` within the tires' friction."""
     if use_on_line(car, v, highest, curvature, bank) <= 1:
         return highest
     good, bad = 0.0, highest
@@ -256,7 +286,7 @@ def _entry(
     bank: float,
     step: float,
 ) -> float:
-    """The highest speed up to v from which the car can slow down to `after` in a step."""
+    """Return the largest speed up to v from which the car can slow down to `after` in a step."""
     if _can_slow(car, powers, v, after, curvature, bank, step):
         return v
     good, bad = after, v

@@ -134,7 +134,7 @@ def test_an_obstacle_is_planned_around_once_it_is_seen() -> None:
 @pytest.mark.parametrize(
     ("obstacle", "speed", "reason"),
     [
-        (Obstacle(s=160.0, e=0.0, width=14.0), 30.0, "no path between"),
+        (Obstacle(s=160.0, e=0.0, width=14.0), 30.0, "no path with"),
         (Obstacle(s=115.0, e=0.0), 39.0, "too fast for the path around it"),
     ],
 )

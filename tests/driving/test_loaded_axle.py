@@ -111,7 +111,7 @@ def test_an_axle_of_property_data_holds_at_the_loads_of_the_car() -> None:
 def test_a_transfer_without_end_is_refused() -> None:
     front, _ = CAR.loaded_axles
     steep = LoadedAxle(front.axle, front.loads, LoadSensitivity(np.full(2, -0.9), np.full(2, -0.9)))
-    with pytest.raises(ValueError, match=r"transfer is 50; expected a load transfer so small"):
+    with pytest.raises(ValueError, match=r"transfer is 50; expected a smaller load transfer"):
         steep.in_turn(np.linspace(-0.2, 0.2, 401), 3000.0, 50.0)
 
 

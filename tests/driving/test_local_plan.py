@@ -70,9 +70,7 @@ def test_the_nearer_side_with_room_is_taken() -> None:
 
 
 def test_no_path_is_an_error_of_one_line() -> None:
-    with pytest.raises(
-        NoPathError, match=r"no path between .* passes the obstacle at s = 100"
-    ) as e:
+    with pytest.raises(NoPathError, match=r"no path with .* passes the obstacle at s = 100") as e:
         PLANNER.path(RING, [Obstacle(s=100.0, e=0.0, width=12.0)], 40.0)
     assert "\n" not in str(e.value)
     with pytest.raises(NoPathError, match=r"the obstacle is 8.0 m ahead"):

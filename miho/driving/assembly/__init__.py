@@ -1,1 +1,1 @@
-"""A car put together of what was identified: from bench data, from drives, from files."""
+"""Assembly of a car from identified parts: from bench data, from drives, or from files."""

@@ -1,4 +1,4 @@
-"""The car of what was identified of its tires, engine and brake, each on a bench of its own."""
+"""Assembly of a car from tires, engine and brake that were identified on separate benches."""
 
 from __future__ import annotations
 
@@ -30,10 +30,23 @@ def assembled(
     thetas: Mapping[str, Array],
     sensitivity: float | None = None,
 ) -> KnownCar:
-    """The car that identified parameters of all its parts make.
+    """Assemble a car from identified parameters of all its parts.
 
-    The tires' curves are those of `loaded_axle`; sensitivity [-] replaces what the property data
-    tell of it, for peak and stiffness of all tires.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    problems : Mapping[str, CurveFit]
+        Identification problems of tires, engine and brake, by part.
+    thetas : Mapping[str, ndarray]
+        Identified parameters of each part. Curves of the tires follow from `loaded_axle`.
+    sensitivity : float, optional
+        Load sensitivity [-] of peak and stiffness of all tires; by default estimated from the data.
+
+    Returns
+    -------
+    KnownCar
+        The car.
     """
     front, rear = (
         loaded_axle([problems[tire].dataset for tire in pair], [thetas[tire] for tire in pair])
@@ -49,10 +62,10 @@ def assembled(
 
 
 def loaded_axle(data: Sequence[Dataset], thetas: Sequence[Array]) -> LoadedAxle:
-    """Two tires, left and right, whose curves were identified from data of `sample_tir`.
+    """Return an axle with the identified curves of its left and right tire.
 
-    Each curve holds at the middle of the loads in its data, and the data tell how it changes with
-    the load; a sensitivity above 0, which noise can give, counts as 0.
+    The data are from `sample_tir`. Each curve has the middle load of its data, and the data
+    determine its load sensitivity. Positive estimates, which noise can cause, are replaced by 0.
     """
     loads = np.array([(rows["Fz"].min() + rows["Fz"].max()) / 2 for rows in data])
     learned = [
@@ -69,7 +82,7 @@ def _engine(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> En
 
 
 def _brake(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> Brake:
-    """Radii are the car's own; the bias is the slope of the rear over the front pressure."""
+    """Return the brake with radii of the embedded brake, and the bias from the pressure ratio."""
     test = problems["brake_pressure"].dataset
     slope = float(test["p_rear"] @ test["p"] / (test["p"] @ test["p"]))
     u0, u1, P_max, n = thetas["brake_pressure"].tolist()

@@ -1,4 +1,4 @@
-"""The engine of the paper from the embedded data: three learned curves, dyno, integrated map."""
+"""Engine of the paper from the embedded data: three learned curves, dyno, integrated map."""
 
 from __future__ import annotations
 
@@ -19,16 +19,25 @@ from miho.models.engine import RPM
 Array = NDArray[np.float64]
 
 DATASETS = MappingProxyType({0.05: "torque_05", 0.15: "torque_15", 0.2: "torque_20"})
-"""The embedded data of each throttle whose torque is learned from driving."""
+"""Embedded datasets of the throttles with torque learned from driving."""
 
 
 @dataclass(frozen=True)
 class IdentifiedEngine:
-    """What was identified and built; keys are throttle openings from 0 to 1.
+    """Identified curves and maps of an engine; keys are throttle openings from 0 to 1.
 
-    problems: the three identification problems. curves: what was learned from them. dyno: every
-    point the dyno measured. trusted: the map of its trusted rows alone. integrated: the map with
-    the learned curves.
+    Attributes
+    ----------
+    problems : Mapping[float, CurveFit]
+        Identification problems.
+    curves : Mapping[float, TorqueCurve]
+        Learned curves.
+    dyno : Dataset
+        All dyno points.
+    trusted : EngineMap
+        Map of the reliable dyno points only.
+    integrated : EngineMap
+        Map blended with the learned curves.
     """
 
     problems: Mapping[float, CurveFit]
@@ -38,7 +47,7 @@ class IdentifiedEngine:
     integrated: EngineMap
 
     def samples(self, throttle: float) -> tuple[Array, Array]:
-        """Engine speeds [rad/s] and torques [Nm] that the curve was learned from."""
+        """Return the engine speeds [rad/s] and torques [Nm] in the data of a curve."""
         dataset = self.problems[throttle].dataset
         return dataset["omega"], dataset["torque"]
 
@@ -46,7 +55,7 @@ class IdentifiedEngine:
 def engine_of(
     problems: Mapping[float, CurveFit], thetas: Mapping[float, Array], seed: int = 0
 ) -> IdentifiedEngine:
-    """The engine that identified parameters (4,) per throttle make, with the dyno of a seed."""
+    """Return the engine of identified parameters (4,) per throttle, with the dyno of a seed."""
     curves = {
         throttle: learned_curve(problem, thetas[throttle], throttle)
         for throttle, problem in problems.items()
@@ -61,7 +70,7 @@ def engine_of(
 
 
 def learned_curve(problem: CurveFit, theta: Array, throttle: float) -> TorqueCurve:
-    """The curve that `theta` (4,) is, valid over the speeds of the problem's data."""
+    """Return the curve of `theta` (4,), valid over the speeds of the problem's data."""
     model, omega = problem.model, problem.dataset["omega"]
     if not isinstance(model, TorqueCubic):
         raise TypeError(f"the model is {type(model).__name__}; expected a TorqueCubic")
@@ -71,14 +80,14 @@ def learned_curve(problem: CurveFit, theta: Array, throttle: float) -> TorqueCur
 
 
 def truth_error(curve: TorqueCurve) -> float:
-    """RMSE [Nm] of a curve against the synthetic engine, evenly over its valid speeds."""
+    """Return the RMSE [Nm] of a curve against the synthetic engine over its valid speeds."""
     omega = np.linspace(*curve.valid, 1000)
     miss = curve.torque(omega) - true_torque(omega, curve.throttle)
     return float(np.sqrt(np.mean(miss**2)))
 
 
 def fig5_data(engine: IdentifiedEngine) -> dict[str, Any]:
-    """The arguments of `fig5`, in rpm, percent and Nm."""
+    """Return the arguments of `fig5`, in rpm, percent and Nm."""
     samples, curves, truth, dyno, errors = {}, {}, {}, {}, {}
     for throttle, curve in engine.curves.items():
         percent = 100 * throttle

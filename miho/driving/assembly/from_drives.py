@@ -1,4 +1,4 @@
-"""From what drives of a car measured to parameters.json: logs, datasets, problems, results."""
+"""Identification of a car from driving logs: datasets, problems, parameters files."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ Array = NDArray[np.float64]
 Logs = Mapping[str, tuple[DrivingLog, ...]]
 
 SPACES = ("axle_physical", "brake_deceleration", "torque_cubic")
-"""The spaces that its problems are searched in, as conf/space has them."""
+"""Search spaces of the problems, in conf/space."""
 LOW_OPENINGS = (0.05, 0.15, 0.2)
-"""What the paper learns from driving; the dyno has nothing to be trusted there."""
+"""Openings that the paper learns from driving, because the dyno is unreliable there."""
 HIGH_OPENINGS = (0.3, 0.4, 0.5, 0.65, 0.8, 0.9, 1.0)
-"""What is learned as well when the learned region is extended, with all rows of the dyno."""
+"""Additional openings of an extended learned region, which are all rows of the dyno."""
 SMOOTH = 3700 * RPM
-"""From here on [rad/s], past the turbo's spool, a cubic can follow these openings."""
+"""Engine speed above the spool of the turbo [rad/s], from which a cubic fits high openings."""
 SETTLE = 1.0
-"""Seconds after which a turbocharged engine gives what the pedal asks for."""
+"""Settling time of a turbocharged engine after a change of the pedal [s]."""
 EVERY = 5
-"""Of 100 samples a second, which a low pass of 5 Hz has made dependent, every fifth is kept."""
+"""Step of the kept samples; a 5 Hz low-pass filter makes neighbours at 100 Hz dependent."""
 
 
 def problems_of(logs: Logs, vehicle: Vehicle, spaces: Mapping[str, Space]) -> dict[str, CurveFit]:
-    """The identification problems that the logs of a `programme` pose, by part.
+    """Return the identification problems for the logs of a `programme`, by part.
 
-    `spaces` holds those named in `SPACES`.
+    `spaces` must contain the spaces named in `SPACES`.
     """
     data: dict[str, tuple[Model, str, Dataset]] = {}
     for axle in ("front", "rear"):
@@ -67,23 +67,23 @@ def problems_of(logs: Logs, vehicle: Vehicle, spaces: Mapping[str, Space]) -> di
 
 
 def weave_samples(logs: Iterable[DrivingLog], vehicle: Vehicle, axle: str) -> Dataset:
-    """`axle_samples` of weaves below each other, where the car hardly brakes or accelerates."""
+    """Return the stacked `axle_samples` of weaves, for small longitudinal acceleration."""
     samples = (axle_samples(log, vehicle.single_track, axle, max_ax=3.0) for log in logs)
     return joined(samples, f"{axle}_axle")
 
 
 def part_of(opening: float) -> str:
-    """The name of the part that is an opening from 0 to 1, such as throttle_05."""
+    """Return the name of the part of an opening from 0 to 1, for example throttle_05."""
     return f"throttle_{round(100 * opening):02d}"
 
 
 def opening_of(part: str) -> float:
-    """The throttle of a part such as throttle_05."""
+    """Return the throttle opening of a part, for example 0.05 for throttle_05."""
     return int(part.removeprefix("throttle_")) / 100
 
 
 def joined(parts: Iterable[Dataset], name: str) -> Dataset:
-    """Datasets below each other, every `EVERY`-th row; events keep apart."""
+    """Return stacked datasets with every `EVERY`-th row; events are numbered by dataset."""
     datasets = list(parts)
     columns = {
         key: np.concatenate([dataset[key][::EVERY] for dataset in datasets])
@@ -96,12 +96,12 @@ def joined(parts: Iterable[Dataset], name: str) -> Dataset:
 
 
 def _torques(logs: Iterable[DrivingLog], vehicle: Vehicle, opening: float) -> Dataset:
-    """Torque samples at one opening, of those logs that have any."""
+    """Return torque samples at one opening, from all logs with samples."""
     parts = []
     for log in logs:
         try:
             samples = torque_samples(log, vehicle.longitudinal, throttle=opening, settle=SETTLE)
-        except ValueError:  # too short, or all of it too slow
+        except ValueError:  # too short, or too slow
             continue
         fast = samples["omega"] >= (SMOOTH if opening >= DYNO_TRUSTED else 0.0)
         if fast.any():
@@ -114,7 +114,7 @@ def _torques(logs: Iterable[DrivingLog], vehicle: Vehicle, opening: float) -> Da
 def identify_parts(
     problems: Mapping[str, CurveFit], optimizer: Optimizer, budget: Budget, seed: int, folder: Path
 ) -> None:
-    """Identify every part with one method, and write PART.json for each into a folder."""
+    """Identify all parts with one method, and write PART.json for each part to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for part, problem in problems.items():
         record = minimize(optimizer, problem, budget, seed)

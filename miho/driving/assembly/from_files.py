@@ -1,4 +1,4 @@
-"""What parameters.json files, identified from drives, make known of a car."""
+"""Assembly of a car from parameters files that were identified from drives."""
 
 from __future__ import annotations
 
@@ -21,14 +21,23 @@ from miho.models.brake_statics import BrakeDeceleration
 from miho.models.identified import Identified
 
 BEYOND_THE_MAP = (1.0, 1.1)
-"""The fade of curves that count fully up to full throttle."""
+"""Fade of curves with full weight up to full throttle."""
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """Factors on what was identified, to drive on parameters that are poor on purpose [-].
+    """Factors on identified parameters [-], for drives with deliberately wrong parameters.
 
-    grip: of both axles' forces. stiffness: B. torque: of the engine map. brake: of its gain.
+    Attributes
+    ----------
+    grip : float
+        Factor of the forces of both axles.
+    stiffness : float
+        Factor of B.
+    torque : float
+        Factor of the engine map.
+    brake : float
+        Factor of the gain of the brake.
     """
 
     grip: float = 1.0
@@ -47,14 +56,33 @@ def known_from(
     seed: int = 0,
     wrong: Wrong | None = None,
 ) -> KnownCar:
-    """What the parameters files of a folder make known of a car.
+    """Assemble a car from the parameters files of a folder.
 
-    sensitivity: of the peaks to the load [-], which curves of an axle do not hold. extended: the
-    learned curves replace the dyno above 20 % throttle too. dyno: what it shows over what the
-    engine gives in the car [-], from 30 % on; seed: of its noise.
+    Loads of the axles are taken at the mean speed of the weave, without load transfer. Load
+    transfer in the weave lowered the measured peaks, so a planner that subtracts it again is
+    conservative.
 
-    The loads are those of the axles at the mean speed of the weave, without its load transfer,
-    which has lowered the peaks that were measured: a planner that takes it off again is cautious.
+    Parameters
+    ----------
+    folder : Path
+        Folder with a parameters file for each part.
+    vehicle : Vehicle
+        The car.
+    sensitivity : float
+        Load sensitivity of the peaks [-], which curves of an axle do not determine.
+    extended : bool, optional
+        Whether learned curves also replace the dyno above 20 % throttle.
+    dyno : float, optional
+        Ratio of the torque on the dyno to the torque in the car [-], from 30 % throttle.
+    seed : int, optional
+        Seed of the noise of the dyno.
+    wrong : Wrong, optional
+        Factors on the parameters.
+
+    Returns
+    -------
+    KnownCar
+        The car.
     """
     off = Wrong() if wrong is None else wrong
     front, rear = (
@@ -75,7 +103,7 @@ def known_from(
 def engine_from(
     folder: Path, *, extended: bool = False, dyno: float = 1.0, seed: int = 0
 ) -> EngineMap:
-    """The integrated map of the learned curves in a folder; settings as in `known_from`."""
+    """Return the integrated map of the learned curves in a folder; see `known_from`."""
     test = dyno_test(seed)
     throttle, high = test["throttle"], test["throttle"] >= DYNO_TRUSTED
     trusted_rows = (throttle == 0) | high
@@ -97,18 +125,18 @@ def _curve(part: Identified, opening: float) -> TorqueCurve:
 
 
 def _axle(part: Identified, off: Wrong) -> Axle:
-    """Two tires that share the force of the axle evenly: one curve cannot tell them apart."""
+    """Return two equal tires with half the force of the axle, because it has only one curve."""
     B, C, D, Sx, Sy = part.theta
     half = np.array([off.stiffness * B, C, off.grip * D / 2, Sx, off.grip * Sy / 2])
     return Axle(half, half)
 
 
 def _brake(part: Identified, vehicle: Vehicle, off: Wrong) -> Brake:
-    """The brake whose force over the pressure is the identified one.
+    """Return the brake with the identified force over pressure.
 
-    Braking in neutral, the wheels' inertia is slowed as well. The axles' torques over their
-    pressures are taken to be equal, as driving shows only their sum; the pads touch at the
-    pressure that c_0, less rolling resistance, says. Bench data are those of `EMBEDDED_BRAKE`.
+    Braking in neutral also decelerates the inertia of the wheels. Both axles get the same torque
+    per pressure, because drives determine only their sum. The pressure at which the pads touch
+    follows from c_0 minus rolling resistance. Other numbers are from `EMBEDDED_BRAKE`.
     """
     c_p, _, c_0 = part.theta
     moved = vehicle.mass + vehicle.wheel_inertia / vehicle.wheel_radius**2
