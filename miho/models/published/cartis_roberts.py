@@ -1,11 +1,11 @@
-"""Systems of CUTEst that Cartis and Roberts took, algebraic ones, for any length.
+"""Algebraic systems of CUTEst in the benchmark of Cartis and Roberts, for any length.
 
-The table is that of C. Cartis and L. Roberts, A derivative-free Gauss-Newton method, Math. Prog.
-Comp. 11 (2019) 631-674. Formulas are those of CUTEst, by their names there, and at the table's
-lengths give its sum of squares at the start. Four are those of Moré, Garbow and Hillstrom (1981,
-MGH) instead, or of Nesterov, and do not: `penlt2ne`, `morebvne`, Powell's singular function, whose
-weights differ from POWELLSE's, and `chebyshev_rosenbrock`. L is L. Lukšan, Hybrid methods in large
-sparse nonlinear least squares, J. Optim. Theory Appl. 89 (1996) 575-595.
+The benchmark is the table of C. Cartis and L. Roberts, A derivative-free Gauss-Newton method, Math.
+Prog. Comp. 11 (2019) 631-674. Formulas and names are from CUTEst, and reproduce the sums of squares
+of the table at the start, for its lengths. Four formulas follow Moré, Garbow and Hillstrom (1981,
+MGH) or Nesterov instead, and give other sums: `penlt2ne`, `morebvne`, Powell's singular function,
+with other weights than POWELLSE, and `chebyshev_rosenbrock`. L is L. Lukšan, Hybrid methods in
+large sparse nonlinear least squares, J. Optim. Theory Appl. 89 (1996) 575-595.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def broydn3d(x: Values, m: int) -> Values:
 
 
 def broydnbd(x: Values, m: int) -> Values:
-    """Broyden, banded: x_i (2 + 5 x_i^2) - sum x_j (1 + x_j), j the five before i and one behind.
+    """Broyden, banded: x_i (2 + 5 x_i^2) - sum x_j (1 + x_j), j from i - 5 to i + 1 without i.
 
     MGH 31 adds 1, CUTEst does not.
     """
@@ -82,12 +82,12 @@ def eigena(x: Values, m: int) -> Values:
 
 
 def eigenb(x: Values, m: int) -> Values:
-    """The same of the matrix with 2 on the diagonal and -1 beside it."""
+    """Eigenvalues and vectors of the matrix with 2 on the diagonal and -1 next to it."""
     return eigen(np.full(_order(len(x)), 2.0), -1.0, x)
 
 
 def _order(n: int) -> int:
-    """N of n = N + N^2."""
+    """Return N for n = N + N^2."""
     return int(n**0.5)
 
 
@@ -141,13 +141,13 @@ def luksan17(x: Values, m: int) -> Values:
 
 
 def _chained(x: Values, width: int, step: int) -> list[Values]:
-    """The first, second, ... variables of all blocks of `width`, which start `step` apart."""
+    """Return the first, second, ... variables of all blocks of `width` with distance `step`."""
     starts = np.arange(0, len(x) - width + 1, step)
     return [x[starts + k] for k in range(width)]
 
 
 def _matrix(p: int, band: bool = False) -> Values:
-    """B with sin k^2 in its places k, numbered by rows; of a band only the three diagonals."""
+    """Return B with entries sin k^2, numbered by rows, or only its three central diagonals."""
     places = np.abs(counted(p) - counted(p).T) <= (1 if band else p)
     B = np.zeros((p, p))
     B[places] = np.sin(np.arange(1.0, np.count_nonzero(places) + 1) ** 2)
@@ -173,7 +173,7 @@ def msqrta(x: Values, m: int) -> Values:
 
 
 def msqrtb(x: Values, m: int) -> Values:
-    """The same with 0 in the third row of B."""
+    """Square root of a matrix as in `msqrta`, with 0 in the third row of B."""
     return _square_root(x, _msqrtb_matrix(round(len(x) ** 0.5)))
 
 
@@ -224,7 +224,7 @@ def yatp1ne(x: Values, m: int) -> Values:
 
 
 def yatp2ne(x: Values, m: int) -> Values:
-    """The same with x - (y_i + z_j) (1 + cos x) - 1, and sums of x + sin x."""
+    """Variant with x - (y_i + z_j) (1 + cos x) - 1, and sums of x + sin x."""
     X, y, z = _bordered(x)
     return _sums_to_one(X - (y + z) * (1 + np.cos(X)) - 1, X + np.sin(X))
 
@@ -236,7 +236,7 @@ def _bordered(x: Values) -> tuple[Values, Values, Values]:
 
 
 def _side(n: int) -> int:
-    """N of n = N^2 + 2 N."""
+    """Return N for n = N^2 + 2 N."""
     return int((n + 1) ** 0.5) - 1
 
 

@@ -1,8 +1,8 @@
-"""Systems of CUTEst that Cartis and Roberts took, discretized equations, for any length.
+"""Discretized equations of CUTEst in the benchmark of Cartis and Roberts, for any length.
 
-Boundary values, integral equations and reactors of J. J. Moré, A collection of nonlinear model
-problems, Lectures in Applied Mathematics 26 (1990) 723-762, by their names in CUTEst. MGH
-is Moré, Garbow and Hillstrom (1981).
+Boundary value problems, integral equations and reactors are from J. J. Moré, A collection of
+nonlinear model problems, Lectures in Applied Mathematics 26 (1990) 723-762, with their names in
+CUTEst. MGH is Moré, Garbow and Hillstrom (1981).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Formulas of kinetics and growth in Bates and Watts (1988) and in R's `stats`.
 
-Those of one and of two compartments are the solutions of their differential equations.
+Formulas of one and two compartments are solutions of their differential equations.
 """
 
 from __future__ import annotations

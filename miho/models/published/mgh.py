@@ -1,4 +1,4 @@
-"""Formulas of More, Garbow and Hillstrom (1981) that fit data, and of de Villiers and Glasser."""
+"""Data-fitting formulas of More, Garbow and Hillstrom (1981) and de Villiers and Glasser."""
 
 from __future__ import annotations
 

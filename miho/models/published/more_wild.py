@@ -1,9 +1,9 @@
-"""Systems of Moré and Wild (2009) that are not fits to data, for any length the formula allows.
+"""Systems of Moré and Wild (2009) that are not fits to data, for all lengths of the formulas.
 
-Twenty-two functions of CUTEr, 18 of them from Moré, Garbow and Hillstrom (1981, MGH), are the
-smooth problems of J. J. Moré and S. M. Wild, Benchmarking derivative-free optimization algorithms,
-SIAM J. Optim. 20 (2009) 172-191. Six fit data and are in `mgh` and `nist`. No system declares
-variables that it is linear in: the benchmark shows a method residuals only.
+The smooth problems of J. J. Moré and S. M. Wild, Benchmarking derivative-free optimization
+algorithms, SIAM J. Optim. 20 (2009) 172-191, are 22 functions of CUTEr. Of these, 18 are from Moré,
+Garbow and Hillstrom (1981, MGH). Six fit data and are in `mgh` and `nist`. No system declares
+linear variables, because the benchmark gives methods residuals only.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Formulas of NIST's StRD for nonlinear regression: values and derivatives, as published.
 
-The parameters are b1, b2, ... in the order of the tuple. Divisions by a parameter alone are written
-behind a column, so that a zero there is infinite and no error.
+The parameters are b1, b2, ... in the order of the tuple. The numerator of a division by a
+parameter is an array, so that division by zero gives infinity and no error.
 """
 
 from __future__ import annotations
