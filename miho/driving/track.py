@@ -111,7 +111,7 @@ class Track:
 
     @cached_property
     def turn(self) -> float:
-        """Change of the heading over a lap [rad]: 2 pi where the line turns left."""
+        """Change of the heading over a lap [rad], 2 pi for a line that turns left."""
         bend = self.step * (self.curvature[-1] + self.curvature[0]) / 2
         return float(2 * math.pi * round((self.heading[-1] + bend - self.heading[0]) / math.tau))
 

@@ -1,6 +1,6 @@
 """Steady-state tire forces by the Magic Formula, versions 5.2, 6.1 and 6.2.
 
-Equation numbers (4.E1-4.E78) are those of Pacejka, Tire and Vehicle Dynamics, 3rd ed., Ch. 4.3.2;
+Equation numbers (4.E1-4.E78) are from Pacejka, Tire and Vehicle Dynamics, 3rd ed., Ch. 4.3.2;
 turn slip is not included (all zeta = 1). MF 5.2 is implemented as MF 6.1 without its additional
 terms, with further differences marked below. MF 6.2 has the forces of MF 6.1.
 

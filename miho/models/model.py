@@ -73,20 +73,55 @@ class Model(ABC):
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Return the outputs (n, N) of parameter rows (n, d) at input columns (N,).
+        """Return the outputs of parameter rows at input columns.
 
-        The array is new, so the caller may overwrite it. The outputs of a parameter row do not
-        depend on the other rows of the batch.
+        Parameters
+        ----------
+        thetas : ndarray, shape (n, d)
+            Parameter rows.
+        *inputs : ndarray, shape (N,)
+            Input columns, in the order of `inputs`.
+
+        Returns
+        -------
+        ndarray, shape (n, N)
+            Outputs, in a new array that the caller may overwrite. The outputs of a parameter row
+            must not depend on the other rows of the batch.
         """
 
     @abstractmethod
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Return the derivatives of the outputs, (N, d), at one configuration (d,)."""
+        """Return the derivatives of the outputs with respect to the parameters.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (d,)
+            Parameters.
+        *inputs : ndarray, shape (N,)
+            Input columns.
+
+        Returns
+        -------
+        ndarray, shape (N, d)
+            Derivatives.
+        """
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
-        """Return sentences for the report about errors of the model at an optimum (d,).
+        """Return sentences for the report about numerical errors of the model at an optimum.
 
-        `noise` is the standard deviation of the residuals at the optimum.
+        Parameters
+        ----------
+        theta : ndarray, shape (d,)
+            Optimum.
+        noise : float
+            Standard deviation of the residuals at the optimum.
+        *inputs : ndarray, shape (N,)
+            Input columns.
+
+        Returns
+        -------
+        list of str
+            Sentences; by default there are none.
         """
         return []
 

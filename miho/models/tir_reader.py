@@ -255,7 +255,7 @@ class _Reader:
 
     def _finite(self, text: str, column: int) -> float:
         if not _NUMBER.fullmatch(text):
-            remedy = "write a finite number such as -1.5e-3, or a quoted 'text'"
+            remedy = "write a finite number, for example -1.5e-3, or a quoted 'text'"
             self.fail(column, f"{printable(text)} is not a number", remedy)
         value = float(text)
         if not isfinite(value):
