@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 API = sorted(DOCS.glob("api/*.md"))
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *API]
-LONG = {"method.md"}
+LONG = {"evidence.md"}
 """Pages whose Python takes minutes."""
 SECONDS = {
     "add-a-method.md", "compare-models.md", "fit.md", "next-measurement.md", "trajectories.md",

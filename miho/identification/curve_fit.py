@@ -67,47 +67,61 @@ BLOCK = 50_000
 class CurveFit(Remade, LeastSquaresProblem):
     """A least-squares problem: the mean squared difference of model and data (Eq. 5).
 
-    The space must name the model's parameters in the model's order, and the units of space, data
-    and model must agree. If the space fixes or ties parameters, `model` and `space` become the
-    model and the space of the free ones. With a robust loss `residuals` and `jacobian` belong to
-    the transformed residuals, whose mean square is the loss, and `errors` are the differences
-    themselves. With `sigma` residuals and errors are weighted by `scale` / sigma, so that they and
-    the loss keep the output's unit.
+    The loss has the squared unit of the output. Residuals are weighted by `scale` / sigma, so that
+    residuals, errors and loss keep the unit of the output. With a robust `rho`, `residuals` and
+    `jacobian` refer to the transformed residuals, whose mean square is the loss; `errors` are the
+    weighted differences themselves.
 
     Parameters
     ----------
     model : Model or callable
-        A model, or a function with annotations as for `miho.models.FunctionModel`. A function of
-        arithmetic and NumPy's functions of numbers gets exact derivatives.
+        The model. A function has the annotations of `miho.models.FunctionModel`; if it consists of
+        arithmetic and NumPy's functions of numbers, it gets exact derivatives.
     dataset : Dataset
-        The data.
+        The data, with the model's inputs and output as columns of the same units.
     space : Space
-        The parameters.
-    rho : Loss
-        The loss of one residual: the square of the paper's Eq. 5, or a robust loss.
+        The model's parameters in the model's order, in the same units. If it fixes or ties some of
+        them, `model` and `space` become the model and the space of the free parameters
+        (`miho.models.tied`).
+    rho : Loss, optional
+        Loss of one residual: its square (Eq. 5), or a robust loss.
     label : str, optional
-        Name of the problem; by default it is made from model and dataset. The same data in two
-        spaces are two problems.
-    threads : int
-        Threads that evaluate a batch of square losses of an `Expression`.
-    compiled : bool
-        Whether the machine of `miho.core` runs models that are expressions. Other models are
-        evaluated as they are, and so are all models if the machine was not built.
-    sigma : str or float, optional
-        Standard deviation of the errors in the output's unit: a number, or a column of the data.
-    sigma_known : bool
-        Whether `sigma` is known; if not, the residuals determine one factor for all rows.
+        Name of the problem. The same data in two spaces are two problems and need two labels.
+    threads : int, optional
+        Threads for batches of the square loss of a model that is an `Expression`.
+    compiled : bool, optional
+        Whether the virtual machine of `miho.core` searches with models that are expressions. Other
+        models, and all models if the machine was not built, are evaluated with NumPy.
+    sigma : float or str, optional
+        Standard deviation of the errors, in the unit of the output: a number or a column of the
+        data.
+    sigma_known : bool, optional
+        Whether `sigma` is absolute; if false, it is known up to a common factor, which the
+        residuals estimate.
     prior_scale : float, optional
-        Scale of the residuals of priors, instead of `scale`: the estimate of an unknown sigma.
+        Estimate of sigma that weighs the priors, in place of `scale`, if sigma is unknown.
     tied_priors : tuple of Parameter
-        The tied parameters that have a prior; set from the space if it ties or fixes parameters.
-    dear : bool
-        Whether evaluations are known to be expensive; the model is then not tried out here.
+        Tied parameters with a prior; set from `space`.
+    dear : bool, optional
+        Whether the model is known to be expensive; it is then not evaluated to check it.
 
     Raises
     ------
     ValueError
-        If model, data and space do not agree, or the model cannot be evaluated.
+        If model, data and space do not fit together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> t = np.linspace(0, 2, 5)
+    >>> data = miho.Dataset("decay", {"t": t, "y": np.exp(-t)}, {"t": "s", "y": "V"}, "y")
+    >>> def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    ...     return a * np.exp(-b * t)
+    >>> space = miho.Space((miho.Parameter("a", "V", 0, 5), miho.Parameter("b", "1/s", 0, 10)))
+    >>> problem = miho.CurveFit(decay, data, space)
+    >>> problem.loss(np.array([[1.0, 1.0]]))
+    array([0.])
     """
 
     model: Model

@@ -282,7 +282,7 @@ def test_a_function_is_a_model() -> None:
     assert fit.loss(np.array([[2.0, 1.5]]))[0] <= 1e-31
     for wrong, message in (
         (lambda t, a, b: a, "expected at least one input column and one parameter, got 3 and 0"),
-        (Pacejka, "expected an object of a model class"),
+        (Pacejka, "expected an instance of a model class"),
         ("decay", "the model is 'decay'; expected"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
