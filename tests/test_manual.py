@@ -93,7 +93,7 @@ def test_the_api_documents_every_public_name_once() -> None:
 
 def test_the_manual_lists_every_page() -> None:
     pages = re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
-    found = [*DOCS.glob("*.md"), *API]
+    found = [*DOCS.glob("*.md"), *API, *DOCS.glob("gallery/*.md")]
     assert sorted(pages) == sorted(path.relative_to(DOCS).as_posix() for path in found)
     notebooks = re.findall(r": notebooks/(\w+\.ipynb)$", (ROOT / "mkdocs.yml").read_text(), re.M)
     assert sorted(notebooks) == sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
