@@ -274,6 +274,27 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "expected values from 50 to 60",
     ),
     "start short": ({"space": None, "start": {"a": 1}}, "b has no bounds|lacks b"),
+    "start by position": (
+        {"space": None, "start": [1, 1]},
+        "start is \\[1, 1\\]; give its values by name, as in {'a': 1}",
+    ),
+    "start outside": ({"start": {"a": 1e3, "b": 1}}, "start: a is 1000; give one from"),
+    "start a word": ({"space": None, "start": {"a": "x", "b": 1}}, "start: a is 'x'; expected a"),
+    "start NaN": ({"space": None, "start": {"a": np.nan, "b": 1}}, "start: a is nan; expected a"),
+    "fixed by position": ({"fixed": ["a"]}, "fixed is \\['a'\\]; give its values by name"),
+    "fixed to a word": ({"fixed": {"a": "one"}}, "fixed: a is 'one'; expected a finite number"),
+    "a misspelt name": ({"space": {"a": (0, 5), "B": (0, 5)}}, "B is not a parameter of decay"),
+    "a setting of lmfit": (
+        {"space": {**BOX, "a": {"min": 0, "max": 5}}},
+        "bounds of a: min is not a setting; choose from unit, low, high, scale",
+    ),
+    "words": ({"y": [*y[:-1], "n/a"]}, "y is 'n/a' in row 60; expected real numbers"),
+    "data first": ({"model": t}, "model is of type ndarray; expected a function; the order"),
+    "a word for a function": ({"model": "decay"}, "model is 'decay'; expected a function, or"),
+    "a misspelt column": (
+        {"x": pd.DataFrame({"t": t, "V": y}), "y": "v"},
+        "y is 'v'; expected values, or the name of a column of x, one of t, V",
+    ),
     "lengths": ({"y": y[:3]}, "differ in length"),
     "no number": (
         {"y": np.where(t > 1, np.nan, y)},

@@ -164,12 +164,14 @@ def test_a_start_goes_with_ties_and_constraints() -> None:
 def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
     frame = pd.DataFrame({"run": 1, "t": t, "V": y[0]})
     for arguments, keywords, message in (
-        ((decay, t, y[0], BOX), {}, "y has shape \\(50,\\); expected \\(datasets, rows\\)"),
+        ((decay, t, y[0], BOX), {}, "shape \\(50,\\); expected \\(datasets, rows\\)"),
+        ((decay, t, [y[0], y[0][:9]], BOX), {}, "y: expected an array of numbers"),
         (
-            (decay, frame, "V", BOX),
-            {"by": "lap"},
-            "by is 'lap' and y is 'V'; expected the names of two",
+            (decay, t, y, BOX),
+            {"start": [1, 1, 1]},
+            "start is \\[1, 1, 1\\]; give its values by name",
         ),
+        ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; expected"),
         ((decay, t[:7], y, BOX), {}, "differ in length"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
         ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
@@ -179,7 +181,7 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": 9}}, "c is 9; expected -5"),
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": np.nan}}, "c is nan"),
         ((decay, -1e9 * t, y, {**BOX, "b": (1, 2)}), {}, "is not finite at t"),
-        ((decay, t, np.vstack([y[:1], y[1:] * np.inf]), BOX), {}, "dataset 1: has values"),
+        ((decay, t, np.vstack([y[:1], y[1:] * np.inf]), BOX), {}, "dataset 1: a value is not"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
             miho.fit_many(*arguments, **keywords)

@@ -14,6 +14,9 @@ from miho.fitting.statement import inputs_of
 from miho.models.model import Model
 from miho.quantities import Array
 
+OTHERWISE = "or a data frame as x, with the name of a column as y and as by"
+"""What datasets of different lengths are given as."""
+
 
 class Groups:
     """Datasets that are groups of a data frame with one value in a column, in order of appearance.
@@ -56,10 +59,15 @@ class Rows:
     def __init__(self, x: Any, y: Any) -> None:
         if isinstance(y, str):
             raise ValueError(f"y is {y!r}; expected by= as well, the column that names the dataset")
-        self.y = np.asarray(y, dtype=float)
+        try:
+            self.y = np.asarray(y, dtype=float)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"y: expected an array of numbers (datasets, rows), {OTHERWISE}"
+            ) from None
         if self.y.ndim != 2 or not self.y.size:
             raise ValueError(
-                f"y has shape {self.y.shape}; expected (datasets, rows), or a data frame x and by="
+                f"y has the shape {self.y.shape}; expected (datasets, rows), {OTHERWISE}"
             )
         self.keys: list[Hashable] = list(range(len(self.y)))
         self.by_name = isinstance(x, Mapping) or hasattr(x, "columns")
@@ -86,7 +94,9 @@ class Rows:
         M, N = self.y.shape
         for column in columns:
             if column.shape[-1] != N:
-                raise ValueError("dataset 0: columns differ in length or are empty")
+                raise ValueError(
+                    f"x has {column.shape[-1]} rows and y has {N}; give y as (datasets, rows)"
+                )
         ends = np.arange(M + 1) * N
         if all(column.ndim == 1 for column in columns):
             return Datasets.checked(np.array(columns), self.y.ravel(), ends)
@@ -122,7 +132,9 @@ class Datasets:
             bad = ~np.isfinite(values)
             if bad.any():
                 k = np.searchsorted(ends, np.flatnonzero(bad)[0], side="right") - 1
-                raise ValueError(f"dataset {k}: has values that are not finite; remove these rows")
+                raise ValueError(
+                    f"dataset {k}: a value is not finite; remove its row, or its dataset"
+                )
         X, y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
         return cls(X, y, np.ascontiguousarray(ends, dtype=np.int64), bool(shared))
 

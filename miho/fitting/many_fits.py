@@ -17,7 +17,7 @@ from miho.fitting.dear_fit import title
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
 from miho.fitting.search import searched
-from miho.fitting.statement import data_of, space_of
+from miho.fitting.statement import check_named, data_of, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
@@ -113,6 +113,7 @@ def fit_many(
     """
     import pandas as pd
 
+    check_named(start=start, fixed=fixed, tied=tied)
     parts = Rows(x, y) if by is None else Groups(x, y, by)
     names = {*(fixed or ()), *(tied or ()), *(start or ())}
     named = space.names if isinstance(space, Space) else tuple(space)

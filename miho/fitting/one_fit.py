@@ -22,7 +22,7 @@ from miho.fitting.fit_result import Fit
 from miho.fitting.known_start import best_known, check_start
 from miho.fitting.named import check_budget, loss_of, method_of
 from miho.fitting.search import searched
-from miho.fitting.statement import DENSE, Tire, data_of, of_tire, space_of
+from miho.fitting.statement import DENSE, Tire, check_named, data_of, of_tire, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import ties_of
@@ -181,6 +181,7 @@ def fit(
     if isinstance(start, str):
         check_start(start, journal)
         start = None
+    check_named(start=start, fixed=fixed, tied=tied)
     # A tire has default bounds or a start; other models need them by name.
     if isinstance(model, MagicFormula | str | os.PathLike):
         model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})

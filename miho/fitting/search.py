@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 
 from miho.fitting.confirmed import by_calls, check_repeats, compared_at
@@ -58,10 +59,11 @@ def searched(
     if theta is None and not run.rejected and run.error is None:
         raise ValueError(f"{name}: the budget ended before the first value; increase it")
     if theta is None:
-        raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
+        why = run.error or _counted(run.rejected)
+        raise ValueError(f"{name}: no finite value was found: {why}")
     raised = {why: n for why, n in run.rejected.items() if not why.startswith(NOT_FINITE)}
     if raised:
-        why = "; ".join(f"{n:,} x {reason}" for reason, n in raised.items())
+        why = _counted(raised)
         sys.stderr.write(f"miho: {name}: evaluations without a value: {why}\n")
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
@@ -81,6 +83,11 @@ def searched(
     check_repeats(problem, descent.theta, descent.cost, evaluations)
     fit = Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
     return _with_others(fit, descent, evaluations)
+
+
+def _counted(rejected: Mapping[str, int]) -> str:
+    """The reasons for which evaluations have no value, each with its count."""
+    return "; ".join(f"{n:,} x {reason}" for reason, n in rejected.items())
 
 
 def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> Fit:

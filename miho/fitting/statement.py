@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
+import math
 import os
 import sys
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +32,8 @@ NEAR = 0.1
 """A model is tried at values of parameters without bounds that differ by this share from their
 start."""
 
+SETTINGS = tuple(field.name for field in dataclasses.fields(Parameter))[1:-1]
+"""The settings of a parameter that a mapping of bounds may have."""
 MISSING = ("raise", "drop")
 """The treatment of rows with a missing number."""
 COMPLEX = (
@@ -54,6 +59,10 @@ def of_tire(
     A coefficient that is only named starts at the value of the tire. If coefficients are tied, the
     space may have parameters that are not coefficients.
     """
+    if isinstance(tire, str) and not Path(tire).suffix and not Path(tire).exists():
+        raise ValueError(
+            f"model is {tire!r}; expected a function, or the path of a property file (.tir)"
+        )
     if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
         raise ValueError(
             "x and y of a tire: expected columns by name as x and the name of one of them, Fx, Fy "
@@ -69,6 +78,14 @@ def of_tire(
         return model, space, start
     own = model.own_values()
     return model, None, {name: own[name] for name in named} | dict(start or {})
+
+
+def check_named(**arguments: object) -> None:
+    """Raise ValueError unless each of start, fixed and tied is None or has its values by name."""
+    for label, values in arguments.items():
+        if values is not None and not isinstance(values, Mapping):
+            example = {"a": "2 * b"} if label == "tied" else {"a": 1}
+            raise ValueError(f"{label} is {values!r}; give its values by name, as in {example}")
 
 
 def data_of(
@@ -92,7 +109,7 @@ def data_of(
     by_name = isinstance(x, Mapping) or hasattr(x, "columns")
     if isinstance(y, str):
         if not by_name or y not in x:
-            raise ValueError(f"y is {y!r}; expected values, or the name of a column of x")
+            raise ValueError(f"y is {y!r}; expected {_a_column(x, by_name)}")
         output, values = y, x[y]
     else:
         output, values = "y", y
@@ -102,6 +119,11 @@ def data_of(
             'miho.models.TireFormula(tire, ("PDY1", "PKY1"), "Fy")'
         )
     if not isinstance(model, Model):
+        if not callable(model):
+            raise ValueError(
+                f"model is of type {type(model).__name__}; expected a function; the order of the "
+                "arguments is model, x, y, bounds"
+            )
         model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
@@ -117,7 +139,7 @@ def data_of(
     )
     if isinstance(sigma, str):
         if not by_name or sigma not in x:
-            raise ValueError(f"sigma is {sigma!r}; expected values, or the name of a column of x")
+            raise ValueError(f"sigma is {sigma!r}; expected {_a_column(x, by_name)}")
         sigma = x[sigma]
     if sigma is not None and not np.ndim(sigma):
         sigma = float(sigma)
@@ -128,6 +150,12 @@ def data_of(
         columns[name], units[name], sigma = _numbers(name, sigma), model.output, name
     columns = _complete(model.name or "data", columns, missing)
     return Dataset(model.name or "data", columns, units, output), model, sigma
+
+
+def _a_column(x: Any, by_name: bool) -> str:
+    """What y or sigma may be, as an error message says it."""
+    names = f", one of {', '.join(map(str, x))}" if by_name else ", with x by name"
+    return f"values, or the name of a column of x{names}"
 
 
 def tire_columns(
@@ -264,7 +292,32 @@ def _numbers(name: str, values: Any) -> NDArray[np.float64]:
         import pandas as pd
 
         array = np.where(pd.isna(array), np.nan, array)
-    return array.astype(float)
+    try:
+        return array.astype(float)
+    except (TypeError, ValueError):
+        value, row = _first_word(array)
+        raise ValueError(f"{name} is {value!r}{row}; expected real numbers") from None
+
+
+def _first_word(array: NDArray[Any]) -> tuple[object, str]:
+    """The first entry of a column that is no number, and its place."""
+    for row, value in enumerate(np.atleast_1d(array).tolist()):
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            return value, f" in row {row + 1}" * bool(array.ndim)
+    return array.dtype.name, ""
+
+
+def number_of(label: str, value: Any) -> float:
+    """A finite number; raises ValueError for anything else, which `label` names."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{label} is {value!r}; expected a finite number")
+    return number
 
 
 def space_of(
@@ -300,11 +353,11 @@ def space_of(
         unit = model.parameters.get(name, "")
         settings = _settings(name, ranges.get(name))
         if name in fixed:
-            settings |= {"fixed": float(fixed[name])}
+            settings |= {"fixed": number_of(f"fixed: {name}", fixed[name])}
         elif name in tied:
             settings |= {"tied": tied[name]}
         elif start is not None and name in start and "low" not in settings:
-            at = float(start[name])
+            at = number_of(f"start: {name}", start[name])
             ends = at - reach * max(abs(at), 1.0), at + reach * max(abs(at), 1.0)
             if settings.get("scale") == "log" and at > 0:
                 ends = at / reach, at * reach
@@ -314,17 +367,29 @@ def space_of(
         elif not settings and name in model.defaults:
             settings = {"fixed": model.defaults[name]}
         elif not settings:
+            unknown = [other for other in ranges if other not in model.parameters]
+            hint = f"; {', '.join(unknown)} is not a parameter of {model.name}" * bool(unknown)
             raise ValueError(
                 f"{name} has no bounds; give them, for example {{{name!r}: (0, 10)}}, or a start "
-                "of every parameter"
+                f"of every parameter{hint}"
             )
-        elif start is not None and name not in start and not _held(settings):
-            raise ValueError(f"start: lacks {name}; give a start of every free parameter")
+        elif start is not None and not _held(settings):
+            _check_start(name, settings, start)
         try:
             parameters.append(Parameter(**{"name": name, "unit": unit, **settings}))
         except TypeError as error:
             raise ValueError(f"bounds of {name}: {error}") from None
     return Space(tuple(parameters))
+
+
+def _check_start(name: str, settings: Mapping[str, Any], start: Mapping[str, float]) -> None:
+    """Raise ValueError unless a free parameter with bounds has a start within them."""
+    if name not in start:
+        raise ValueError(f"start: lacks {name}; give a start of every free parameter")
+    at = number_of(f"start: {name}", start[name])
+    low, high = settings.get("low", -math.inf), settings.get("high", math.inf)
+    if low < high and not low <= at <= high:
+        raise ValueError(f"start: {name} is {at:g}; give one from {low:g} to {high:g}, or no start")
 
 
 def _held(settings: Mapping[str, Any]) -> bool:
@@ -342,9 +407,18 @@ def _settings(name: str, bounds: Any) -> dict[str, Any]:
     if isinstance(bounds, Parameter):
         return vars(bounds).copy()
     if isinstance(bounds, Mapping):
+        unknown = [key for key in bounds if key not in SETTINGS]
+        if unknown:
+            raise ValueError(
+                f"bounds of {name}: {unknown[0]} is not a setting; choose from "
+                f"{', '.join(SETTINGS)}"
+            )
         return dict(bounds)
     if isinstance(bounds, np.ndarray):
         bounds = bounds.tolist()
     if isinstance(bounds, Sequence) and not isinstance(bounds, str) and len(bounds) == 2:
-        return {"low": float(bounds[0]), "high": float(bounds[1])}
+        try:
+            return {"low": float(bounds[0]), "high": float(bounds[1])}
+        except (TypeError, ValueError):
+            pass
     raise ValueError(f"bounds of {name} are {bounds!r}; expected (low, high), for example (0, 10)")

@@ -317,7 +317,7 @@ def _space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[s
         differences = [f"has them in the order {', '.join(declared)}"]
     return (
         f"model {model_name} needs the parameters {', '.join(needed)}; the space "
-        f"{' and '.join(differences)}; choose the space of this model"
+        f"{' and '.join(differences)}; give it these parameters"
     )
 
 
