@@ -22,6 +22,7 @@ from miho.core import machine
 from miho.data import embedded_tire
 from miho.models import Pacejka, TireFormula
 from miho.models.tir_reader import read_tir
+from tests.printed import flat
 
 DIGITS = 1e-6
 """Both descents end where a step changes the sum of squares by some 1e-10 of itself, which leaves
@@ -69,7 +70,7 @@ def test_sigma_of_each_row_is_scipys(compiled: bool, known: bool) -> None:
     assert list(fit.values.values()) == pytest.approx(theta, rel=DIGITS)
     errors = fit.parameters["standard_error"].to_numpy()
     assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
-    assert "weighted by sigma" in str(fit)
+    assert "weighted by sigma" in flat(fit)
     by_name = miho.fit(
         decay, {"t": t, "V": values, "s": sigma}, "V", BOX, sigma="s", sigma_known=known
     )
@@ -169,7 +170,7 @@ def test_errors_that_drift_widen_intervals_and_it_is_said() -> None:
     for k in range(1, 60):  # a first-order autoregression of 0.9
         drift[k] = 0.9 * drift[k - 1] + 0.05 * noise[k]
     fit = miho.fit(decay, t, decay(t, 2.0, 1.5) + drift, BOX, compiled=False)
-    assert "intervals allow for correlated errors" in str(fit)
+    assert "intervals allow for correlated errors" in flat(fit)
     assert "intervals allow" not in str(miho.fit(decay, t, y, BOX, compiled=False))
     plain = fit.uncertainty.independent.standard_errors
     assert (fit.parameters["standard_error"].to_numpy() > 1.2 * plain).all()

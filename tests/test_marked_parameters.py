@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import miho
+from tests.printed import flat
 
 T = np.linspace(0, 3, 50)
 Y = 2 * np.exp(-1.5 * T) + np.random.default_rng(0).normal(0, 0.05, 50)
@@ -22,9 +23,9 @@ def with_idle(t, a, b, c):
 
 
 def line_of(fit: miho.Fit) -> str:
-    """The line below the table."""
-    (line,) = [line for line in str(fit).splitlines() if line.startswith("error ")]
-    return line
+    """The line below the table, without breaks."""
+    words = flat(str(fit)[str(fit).index("\nerror ") :])
+    return words.split(" Converged")[0].split(" - ")[0]
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from miho.identification.alternatives import (
     several_values,
 )
 from miho.identification.curve_fit import CurveFit
+from miho.identification.printed import wrapped
 from miho.identification.refit import Refit
 from miho.identification.standing import Standing
 from miho.identification.stated import (
@@ -399,7 +400,12 @@ class Fit(Remade):
         return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:
-        """The parameters, the error, the evidence for the optimum, and the caveats."""
+        """The parameters, the error, what is known of the optimum, and what takes them away."""
+        table, lines = self._printed()
+        return "\n".join([table, *map(wrapped, lines)])
+
+    def _printed(self) -> tuple[str, list[str]]:
+        """The table of parameters as text, and the lines below it, of any length."""
         table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
@@ -422,7 +428,8 @@ class Fit(Remade):
             limits if self._standing.doubt else self.optimum.replace(" Estimated", "\nEstimated")
         )
         caveats = (f"- {sentence}" for sentence in self.caveats)
-        return "\n".join(filter(None, [table, size, known, *caveats]))
+        lines = "\n".join(filter(None, [size, known, *caveats])).split("\n")
+        return table, lines
 
     @property
     def _dependent(self) -> bool:
@@ -438,5 +445,4 @@ class Fit(Remade):
     def _repr_html_(self) -> str:
         """The form shown in a notebook."""
         table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
-        lines = str(self).splitlines()[len(self.parameters) + 1 :]
-        return table + "".join(f"<p>{escape(line)}</p>" for line in lines)
+        return table + "".join(f"<p>{escape(line)}</p>" for line in self._printed()[1])

@@ -25,6 +25,7 @@ from miho.identification.derived import derived, gradient
 from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
 from miho.identification.inverse_root import inverse_root
+from miho.identification.printed import wrapped
 from miho.identification.report import Report, rounding_of
 from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
 from miho.identification.uncertainty import Linearised
@@ -183,8 +184,8 @@ class Design:
 
     def __str__(self) -> str:
         """The advice, the table, and the assumptions."""
-        notes = "\n".join(f"- {sentence}" for sentence in assumptions(self))
-        return "\n\n".join([advice(self), table_text(self), notes])
+        notes = "\n".join(wrapped(f"- {sentence}") for sentence in assumptions(self))
+        return "\n\n".join([wrapped(advice(self)), table_text(self), notes])
 
 
 def optimal_design(

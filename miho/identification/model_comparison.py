@@ -20,6 +20,7 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import independence
 from miho.identification.loss import Square
+from miho.identification.printed import wrapped
 from miho.identification.refit import refit
 from miho.identification.report import Report, rounding_of
 from miho.quantities import Array
@@ -144,7 +145,7 @@ class ModelComparison:
         parts = [self.table.to_string(index=False, float_format="%.5g")]
         if len(self.tests):
             parts.append(self.tests.to_string(index=False, float_format="%.3g"))
-        return "\n\n".join([*parts, "\n".join(f"- {note}" for note in self.notes)])
+        return "\n\n".join([*parts, "\n".join(wrapped(f"- {note}") for note in self.notes)])
 
 
 def compare_models(*reports: Report) -> ModelComparison:

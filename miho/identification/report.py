@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -40,6 +40,7 @@ from miho.identification.flags import (
     wrong_signs,
 )
 from miho.identification.irreducible import Irreducible, irreducible_interval
+from miho.identification.printed import wrapped
 from miho.identification.prior import prior_notes, prior_table
 from miho.identification.profile_likelihood import Profile
 from miho.identification.standing import Standing
@@ -76,6 +77,8 @@ SUSPICIOUS = 2.0
 """An error is mentioned if it exceeds the upper end of the irreducible error by this factor."""
 ROUNDING = 1e-12
 """Errors below this fraction of the output are rounding, not noise."""
+KINDS = ("profile", "bootstrap", "linearised")
+"""The kinds of intervals, the best first."""
 REMEDY = "search from more starts, or in a narrower or logarithmic box."
 
 
@@ -416,19 +419,39 @@ class Report:
 
     def __str__(self) -> str:
         """The parameters with their best intervals, the error, and the remarks."""
-        kinds = ("profile", "bootstrap", "linearised")
-        kind = next(kind for kind in kinds if f"{kind} low" in self.parameters)
+        kind = next(kind for kind in KINDS if f"{kind} low" in self.parameters)
         columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
         formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
         if self.uneven and not self.standing.doubt:
             columns += ["sandwich", "sandwich low", "sandwich high"]
-        table = self.parameters[columns].to_string(
-            index=False, float_format="%.5g", formatters=formatters
-        )
-        lines = [f"error: {self.error:.5g} {self.problem.unit}".rstrip()]
+        parts = [_printed(self.parameters[columns], formatters)]
+        quantities = self._derived_with_best_intervals()
+        if len(quantities):
+            parts.append(_printed(quantities, dict.fromkeys(("low", "high"), _end)))
+        error = f"error: {self.error:.5g} {self.problem.unit}".rstrip()
+        weights = "" if self.problem.weights is None else ", weighted by sigma"
+        lines = [
+            f"{error} (root mean square of {len(self.problem.dataset):,} rows{weights}); "
+            f"intervals of {100 * self.level:g} %"
+        ]
         if not self.standing.doubt:  # a doubt is the first note
-            lines.append(self.standing.statement)
-        return "\n\n".join([table, "\n".join([*lines, *(f"- {note}" for note in self.notes)])])
+            lines += self.standing.statement.replace(" Estimated", "\nEstimated").split("\n")
+        lines += [f"- {note}" for note in self.notes]
+        return "\n\n".join([*parts, "\n".join(map(wrapped, lines))])
+
+    def _derived_with_best_intervals(self) -> pd.DataFrame:
+        """The derived quantities that have a value, each with the best of its intervals."""
+        rows = []
+        for row in self.derived.to_dict("records"):
+            if math.isnan(row["value"]):
+                continue
+            known = [kind for kind in KINDS if not math.isnan(row.get(f"{kind} low", math.nan))]
+            kind = known[0] if known else KINDS[-1]
+            kept = {key: row[key] for key in ("quantity", "value", "unit", "standard error")}
+            rows.append(
+                {**kept, "low": row[f"{kind} low"], "high": row[f"{kind} high"], "interval": kind}
+            )
+        return pd.DataFrame(rows)
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
@@ -445,6 +468,11 @@ class Report:
             "descents": self.descents,
         }
         return {name: table for name, table in tables.items() if len(table)}
+
+
+def _printed(table: pd.DataFrame, formatters: Mapping[str, Callable[[float], str]]) -> str:
+    """The text of a table with five digits."""
+    return table.to_string(index=False, float_format="%.5g", formatters=dict(formatters))
 
 
 def _end(value: float) -> str:

@@ -23,6 +23,7 @@ from miho.identification.refit import Refit, refit
 from miho.models import Pacejka
 from miho.optim import Descents, Minimum, Parameter, Space
 from miho.quantities import Array
+from tests.printed import flat
 
 LOWER, UPPER = np.array([3.799, 1.981, 1.0, 0.907]), np.array([5.329, 1.417, 1.0, 0.026])
 """Parameters B, C, D, E of the two optima; the truth is 5.385, 1.4, 1 and 0."""
@@ -157,11 +158,11 @@ def test_report_and_fit_tell_of_them() -> None:
     low, high = fit.parameters.loc["B", ["low", "high"]]
     assert low < 3.799
     assert high > 5.329
-    assert "2 optima differ by less than the noise" in str(fit)
+    assert "2 optima differ by less than the noise" in flat(fit)
     report = fit.report(replicates=20)
-    assert "2 optima differ by less than the noise" in str(report)
-    assert "with several optima the estimates are biased" in str(report)
-    assert "bootstrap intervals" not in str(fit.report())
+    assert "2 optima differ by less than the noise" in flat(report)
+    assert "with several optima the estimates are biased" in flat(report)
+    assert "bootstrap intervals" not in flat(fit.report())
     assert report.tables["optima"]["E"].tolist() == pytest.approx([0.907, 0.026], abs=DIGITS)
     for kind in ("linearised", "sandwich", "profile"):
         low, high = report.parameters.loc[0, [f"{kind} low", f"{kind} high"]]

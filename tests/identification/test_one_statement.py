@@ -15,6 +15,7 @@ from miho.analysis.pages.run import save_report
 from miho.identification import Huber, report_steps
 from miho.identification.standing import standing
 from miho.optim import Budget, Descents, Optimizer, Outcome
+from tests.printed import flat
 
 BRACKETS = 30
 T = np.linspace(0, 3, 80)
@@ -68,7 +69,7 @@ def test_a_better_optimum_of_a_profile_is_the_fits_own_everywhere(
     # Each says the same of the optimum.
     assert report.standing.statement == misled.optimum == statement
     assert stored["provenance"]["optimum"] == statement
-    for text in (str(misled), str(report), page, misled._repr_html_()):
+    for text in (flat(misled), flat(report), page, misled._repr_html_()):
         assert f"the optimum is {statement[0].lower()}{statement[1:]}" in html.unescape(text)
         assert "Converged: " not in text
     # And each is of the better one.
@@ -92,7 +93,7 @@ def test_a_better_optimum_of_a_profile_is_the_fits_own_everywhere(
 def test_before_its_report_a_fit_says_what_its_report_will() -> None:
     fit = miho.fit(wave, T, Y, BOUNDS)
     assert fit.optimum == fit.report().standing.statement
-    assert fit.optimum in str(fit.report())
+    assert fit.optimum in flat(fit.report())
 
 
 def test_a_better_optimum_of_the_bootstrap_is_reported(
@@ -117,7 +118,7 @@ def test_a_descent_that_lowers_the_loss_of_the_run_is_said() -> None:
     assert before > 1.001 * fit.error, "or this tests nothing"
     lowered = "a descent from the run's result lowered the error from"
     assert lowered in fit.optimum
-    assert lowered in str(fit)
+    assert lowered in flat(fit)
     assert lowered in fit.report().standing.statement
     exact = miho.fit(wave, T, Y, BOUNDS)
     assert "lowered" not in exact.optimum
@@ -177,7 +178,7 @@ def test_optima_that_a_report_meets_stay_with_the_fit() -> None:
     for one in (fit, pickle.loads(pickle.dumps(fit))):
         assert one.alternatives["b2"].tolist() == pytest.approx(report.optima["b2"], rel=1e-3)
         assert len(one.report().optima) == len(report.optima)
-    assert "optima differ by less than the noise" in str(fit)
+    assert "optima differ by less than the noise" in flat(fit)
 
 
 def test_a_fit_of_an_older_version_is_stored_again() -> None:

@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 import miho
 from miho.identification import make_report
+from tests.printed import flat
 
 t = np.linspace(0, 1, 40)
 rng = np.random.default_rng(3)
@@ -201,6 +202,6 @@ def test_errors_that_are_alike_beside_a_prior_are_told_of() -> None:
         y = np.exp(-x) + 2 * x + errors
         fit = miho.fit(lambda x, a, b: a * np.exp(-x) + b * x, x, y, space, compiled=False)
         told.append(
-            (words in str(fit), any("with priors, standard errors" in n for n in fit.notes))
+            (words in flat(fit), any("with priors, standard errors" in n for n in fit.notes))
         )
     assert told == [(False, False), (True, True)]

@@ -62,9 +62,13 @@ def test_it_prints_in_words(tire: Report) -> None:
         "sandwich", "sandwich", "low", "sandwich", "high",
     ]  # fmt: skip
     assert [line.split()[0] for line in lines[1:6]] == ["B", "C", "D", "Sx", "Sy"]
-    assert lines[7].startswith("error: ")
-    assert lines[8] == tire.standing.statement
-    assert [line.removeprefix("- ") for line in lines[9:]] == tire.notes
+    end = next(k for k, line in enumerate(lines) if line.startswith("error: "))
+    quantities = tire.derived["quantity"]
+    assert lines[7].split()[:3] == ["quantity", "value", "unit"]
+    for printed, name in zip(lines[8 : end - 1], quantities, strict=True):
+        assert printed.strip().startswith(f"{name} ")
+    words = " ".join(" ".join(lines[end + 1 :]).split())
+    assert words == " ".join([tire.standing.statement, *(f"- {note}" for note in tire.notes)])
 
 
 def test_it_says_what_is_wrong_in_words(tire: Report) -> None:
