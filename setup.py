@@ -94,5 +94,7 @@ if can_compile():
         options={"bdist_wheel": {"py_limited_api": "cp311"}} if LIMITED else {},
     )
 else:
-    sys.stderr.write("miho: no C compiler with Python's headers; formulas go without the machine\n")
+    sys.stderr.write(
+        "miho: no C compiler with Python's headers; formulas will run in NumPy, slower\n"
+    )
     setup()

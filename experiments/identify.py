@@ -23,6 +23,7 @@ from experiments.app.forecast import announce
 from experiments.app.plan import request_of, requests, sweep_settings
 from experiments.app.run_text import print_summary, result_text
 from experiments.app.runs import HERE, run
+from miho.identification.printed import for_terminal
 from miho.study import Status
 
 SETTINGS = {
@@ -63,7 +64,7 @@ def identify(cfg: DictConfig) -> float | None:
     if state.status is Status.FAILED:
         raise EndedError(SOME_FAILED)
     if state.run is not None and not is_job:
-        print("\n" + result_text(experiment, state.run))
+        print("\n" + for_terminal(result_text(experiment, state.run)))
     return state.error
 
 

@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.app.execution import result_error, result_line
+from experiments.app.execution import result_error, result_line, result_unit
 from experiments.app.explain import ConfigError
 from experiments.app.plan import MODULES, Request, experiment_of
 from experiments.app.schema import SweepConfig
@@ -120,8 +120,8 @@ class ClusterRuns:
                 result = store.result(request.identity)
                 if result is not None:
                     line = result_line(request.identity, result, Status.DONE_BEFORE)
-                    error = result_error(result)
-                    self._knows(State(request, Status.DONE_BEFORE, line, error))
+                    error, unit = result_error(result), result_unit(result)
+                    self._knows(State(request, Status.DONE_BEFORE, line, error, unit))
                     return
                 self._claims[request.identity.id] = stack.pop_all()
         there = replace(request, root=str(store.root))

@@ -12,6 +12,7 @@ from typing import Any
 
 from experiments.app.build import Experiment
 from experiments.app.progress import Observer, progress
+from miho.identification.printed import with_unit
 from miho.optim import RunRecord, minimize
 from miho.parallel import Journal, JournalError, UncheckedJournalError, calls_of
 from miho.parallel.usage import Usage
@@ -82,7 +83,7 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
     """One line with the run, its error and its cost."""
     error = "no finite value" if result["rejected"] else "no value on all rows of data"
     if result["loss"] is not None:
-        error = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
+        error = with_unit(f"{math.sqrt(result['loss']):.5g}", result["facts"]["unit"])
     outside = result.get("outside", 0)
     remark = f", at least {outside:,} of them outside the box" if outside else ""
     usage = Usage(**(result.get("usage") or {"workers": 1}))
@@ -91,6 +92,11 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
         f"{identity.problem} {identity.optimizer} seed {identity.seed}: {error}, "
         f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s {ending}"
     )
+
+
+def result_unit(result: Mapping[str, Any] | None) -> str:
+    """The unit of the error of a run; a dash without a result."""
+    return "-" if result is None else str(result["facts"]["unit"])
 
 
 def result_error(result: Mapping[str, Any] | None) -> float | None:

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from tqdm import tqdm
 
+from miho.identification.printed import with_unit
 from miho.optim import Budget, Oracle
 from miho.optim.pace import Pace
 
@@ -64,7 +65,7 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             bar.n = spent(budget, oracle.evaluations, oracle.meter.seconds)[0]
             error = "no value yet"
             if math.isfinite(oracle.best):
-                error = f"{math.sqrt(max(0.0, oracle.best)):.5g} {unit}"
+                error = with_unit(f"{math.sqrt(max(0.0, oracle.best)):.5g}", unit)
             agreement = oracle.agreement
             n, kind = agreement.finished, "brackets" if oracle.meter.starts.brackets else "descents"
             agreeing = f", {agreement.agreeing} of {n} {kind} agree" if n else ""

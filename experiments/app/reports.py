@@ -32,6 +32,7 @@ from miho.analysis.pages.sweep import Best, save_sweep_page
 from miho.analysis.pages.sweep_contents import Configured, best_runs
 from miho.analysis.pages.sweep_runs import Sweep
 from miho.identification import Report
+from miho.identification.printed import for_terminal
 from miho.identification.stated import marked
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of
@@ -155,8 +156,10 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
     marks = ", ".join(marked(report.problem, report.at.theta, report.at))
     limits = f"limits: {marks}\n" * bool(marks)
     print(
-        f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
-        f"{limits}{report.standing.statement}\nreport {path}\n"
+        for_terminal(
+            f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
+            f"{limits}{report.standing.statement}\nreport {path}\n"
+        )
     )
     if options.candidates is not None and options.rows is not None:
         print(

@@ -16,6 +16,7 @@ from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
 from experiments.app.working import State
 from miho.identification import Square, linear_optimum
+from miho.identification.printed import with_unit
 from miho.identification.standing import kind_of
 from miho.identification.stated import marked
 from miho.identification.validation import root_mean_square
@@ -37,7 +38,8 @@ def print_summary(states: Sequence[State]) -> int:
     _print_errors(states)
     bad = [state for state in states if state.reason is not None]
     for state in bad:
-        print(f"{state.status}: {state.request.words}: {state.reason}")
+        why = "" if state.reason == state.status else f": {state.reason}"
+        print(f"{state.status}: {state.request.words}{why}")
     for root in dict.fromkeys(state.request.root for state in states if state.error is not None):
         print(_report_command(root, states))
     counts = Counter(state.status for state in states)
@@ -58,16 +60,20 @@ def _report_command(root: str, states: Sequence[State]) -> str:
 
 
 def _print_errors(states: Sequence[State]) -> None:
-    """Print the number of runs and their errors, one line per problem and method."""
+    """A line per problem and method: how many runs, and their errors."""
+    names = [state.request.identity for state in states]
     rows = [
-        (state.request.identity.problem, state.request.identity.optimizer, state.error)
-        for state in states
+        (name.problem, name.optimizer, state.error, state.unit)
+        for name, state in zip(names, states, strict=True)
         if state.error is not None
     ]
     if rows:
-        table = pd.DataFrame(rows, columns=["problem", "method", "error"])
-        errors = table.groupby(["problem", "method"])["error"]
-        print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
+        runs = pd.DataFrame(rows, columns=["problem", "method", "error", "unit"])
+        groups = runs.groupby(["problem", "method"])
+        table = groups["error"].agg(["count", "min", "median", "max"])
+        table["unit"] = groups["unit"].first()
+        lines = table.to_string(float_format="%.5g").splitlines()
+        print("\n".join(["errors by problem and method:", *map(str.rstrip, lines)]))
 
 
 def result_text(experiment: Experiment, stored: StoredRun) -> str:
@@ -98,7 +104,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         lines = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
         findings = f"{lines}\n\n- no standard errors: {reason}"
         error = root_mean_square(problem.errors(theta))
-        rows.append(("error", f"{error:.5g} {unit} (root mean square)"))
+        rows.append(("error", f"{with_unit(f'{error:.5g}', unit)} (root mean square)"))
     else:
         theta, findings = report.at.theta, report_text(report)
         marks = marked(problem, theta, report.at)
@@ -111,7 +117,9 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
     loss = float(problem.loss(theta[None])[0])
     if not isinstance(problem.rho, Square):
         name = type(problem.rho).__name__
-        rows.append(("loss", f"{math.sqrt(loss):.5g} {unit} (root of the mean {name} loss)"))
+        rows.append(
+            ("loss", f"{with_unit(f'{math.sqrt(loss):.5g}', unit)} (root of the mean {name} loss)")
+        )
     optimum, linear = experiment.facts.get("optimum"), linear_optimum(problem)
     exact = None if linear is None else linear[1]
     if optimum is not None:
@@ -120,8 +128,10 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         gap, gap_of_run = _gap(loss, best), _gap(result["loss"], best)
         if gap != gap_of_run:
             gap += f"; of the run itself {gap_of_run}"
-        rows.append(("best known", f"{math.sqrt(best):.5g} {unit} ({source}), gap {gap}"))
-    # Cost, ending and folder of the run.
+        rows.append(
+            ("best known", f"{with_unit(f'{math.sqrt(best):.5g}', unit)} ({source}), gap {gap}")
+        )
+    # What the run spent, how it ended, and where it is stored.
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),

@@ -19,7 +19,7 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments.app.cluster_runs import ClusterRuns, cluster_runs
-from experiments.app.execution import execution_of, result_error, result_line
+from experiments.app.execution import execution_of, result_error, result_line, result_unit
 from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
 from experiments.app.plan import MODULES, POLL, Request, experiment_of
 from experiments.app.schema import SweepConfig
@@ -135,7 +135,7 @@ def stored_state(request: Request) -> State:
     result = store.result(request.identity)
     if result is not None:
         line, error = f"done before: {request.words}", result_error(result)
-        return State(request, Status.DONE_BEFORE, line, error)
+        return State(request, Status.DONE_BEFORE, line, error, result_unit(result))
     reason = store.reason(request.identity)
     if reason is None:
         return State(request, Status.TO_DO, f"to do: {request.words}")
@@ -168,7 +168,8 @@ def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[Sta
             result = store.result(request.identity)
             if result is not None:
                 line = result_line(request.identity, result, Status.DONE_BEFORE)
-                yield State(request, Status.DONE_BEFORE, line, result_error(result))
+                error, unit = result_error(result), result_unit(result)
+                yield State(request, Status.DONE_BEFORE, line, error, unit)
                 continue
             if store.lost_result(request.identity):
                 deleted.append(request.words)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from experiments.app.build import build_optimizer
-from experiments.app.execution import execution_of, line_of, result_error
+from experiments.app.execution import execution_of, line_of, result_error, result_unit
 from experiments.app.origin import our_code, packages_of
 from experiments.app.plan import Request, dataset_of, experiment_of, setting_of
 from miho.identification import CurveFit
@@ -21,13 +21,14 @@ from miho.study.redaction import redacted
 class State:
     """State of a request: its status, a line to print, and the reason if there is no result.
 
-    `run`: the stored run, if this process executed it.
+    `run`: what is stored of it, where this process did it. `unit` is that of `error`.
     """
 
     request: Request
     status: Status
     line: str
     error: float | None = None
+    unit: str = "-"
     reason: str | None = None
     run: StoredRun | None = None
 
@@ -40,6 +41,7 @@ def executed_state(request: Request, execution: Execution) -> State:
         execution.status,
         line_of(request.identity, execution),
         result_error(None if execution.run is None else execution.run.result),
+        result_unit(None if execution.run is None else execution.run.result),
         last[0] if last else None,
     )
 
@@ -56,7 +58,8 @@ def ended_state(ended: JobOutcome[Request, State]) -> State:
     if ended.result is None:  # else it has kept its curve
         Store(Path(request.root)).keep_reason(identity, reason, ended.detail, str(status))
     name = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
-    return State(request, status, f"{name}: {status}: {reason}", reason=reason)
+    ending = status if reason == status else f"{status}: {reason}"
+    return State(request, status, f"{name}: {ending}", reason=reason)
 
 
 def own_code(request: Request) -> bool:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import sys
 import textwrap
 
 WIDTH = 100
 """Columns of a printed line."""
+TIED = "\N{NO-BREAK SPACE}"
+"""A space at which no line is broken."""
+LABEL = 13
+"""Columns of the label of a line, such as "optimum"."""
+LABELLED = re.compile(rf"(?=.{{{LABEL}}}\S)[a-z][a-z ]* \S")
 
 
 def wrapped(line: str, width: int = WIDTH, indent: int | None = None) -> str:
@@ -15,11 +23,33 @@ def wrapped(line: str, width: int = WIDTH, indent: int | None = None) -> str:
     """
     indent = 2 * line.startswith("- ") if indent is None else indent
     return textwrap.fill(
-        line,
+        line.replace(" %", f"{TIED}%"),
         max(width, indent + 20),
         subsequent_indent=" " * indent,
         break_long_words=False,
         break_on_hyphens=False,
         replace_whitespace=False,
-        drop_whitespace=True,
-    )
+    ).replace(TIED, " ")
+
+
+def with_unit(number: str, unit: str) -> str:
+    """A number as text with its unit, which a dimensionless one, "-", does not have."""
+    return f"{number} {unit}" if unit.strip("-") else number
+
+
+def for_terminal(text: str) -> str:
+    """The text with its sentences broken to the width of the terminal; tables stay as they are.
+
+    Text for a file or a pipe is returned unchanged.
+    """
+    if not sys.stdout.isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    return "\n".join(_fitted(line, width) for line in text.split("\n"))
+
+
+def _fitted(line: str, width: int) -> str:
+    indent = LABEL if LABELLED.match(line) else None
+    words = line[LABEL if indent else 0 :].strip()
+    whole = "  " in words or " " not in words  # a row of a table, or a path
+    return line if len(line) <= width or whole else wrapped(line, width, indent)

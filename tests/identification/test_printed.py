@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
+import pytest
 
 import miho
-from miho.identification.printed import WIDTH, wrapped
+from miho.identification.printed import WIDTH, for_terminal, with_unit, wrapped
 from tests.printed import flat
 
 
@@ -35,3 +38,22 @@ def test_a_printed_fit_and_report_fit_a_terminal_and_show_tied_quantities() -> N
         assert max(map(len, text.split("\n"))) <= WIDTH
     assert "K = a * b" in str(report)
     assert "(root mean square of 50 rows); intervals of 95 %" in str(report)
+
+
+def test_text_for_a_terminal_is_broken_to_its_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    optimum = "optimum      " + "found by seven searches " * 5
+    table = "derived   value  unit  95 % interval   sandwich interval"
+    text = "\n".join([table, "- an item " + "of words " * 5, optimum.rstrip()])
+    assert for_terminal(text) == text, "no terminal"
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "50")
+    lines = for_terminal(text).split("\n")
+    assert lines[0] == table
+    assert lines[2] == "  words"
+    assert lines[-1] == " " * 13 + "found by seven searches"
+    assert max(map(len, lines[1:])) <= 50
+    assert flat("\n".join(lines)) == flat(text)
+
+
+def test_a_dimensionless_number_has_no_unit() -> None:
+    assert [with_unit("1.2", unit) for unit in ("N", "-", "")] == ["1.2 N", "1.2", "1.2"]

@@ -9,6 +9,7 @@ import pandas as pd
 from miho.analysis.text import ends, scaled, significant, to_error, with_error
 from miho.identification import Report
 from miho.identification.parameters_file import interval_kind
+from miho.identification.printed import with_unit
 from miho.study import StoredRun
 
 
@@ -86,7 +87,7 @@ def error_table(report: Report) -> pd.DataFrame:
             error = f"{significant(row['low'], 4)} to {significant(row['high'], 4)}"
             remark = "estimated from neighbouring points"
             if not report.irreducible.resolved:
-                remark += ", which are too far apart for that"
+                remark += ", which are too far apart for a reliable estimate"
             elif report.error <= row["high"]:
                 inside = "within the uncertainty of the estimate"
                 remark += f"; this fit is {inside if report.error >= row['low'] else 'below it'}"
@@ -108,19 +109,19 @@ def error_rows(report: Report) -> list[tuple[str, str]]:
     table = error_table(report).set_index("on")
     unit = report.problem.unit
     rows = [
-        ("error", f"{significant(report.error)} {unit} (root mean square)"),
+        ("error", f"{with_unit(significant(report.error), unit)} (root mean square)"),
         (
             "deviation",
-            f"{significant(report.residual_standard_deviation)} {unit} "
+            f"{with_unit(significant(report.residual_standard_deviation), unit)} "
             f"(residual standard deviation, {report.freedom} degrees of freedom)",
         ),
     ]
     if "held out" in table.index:
         row = table.loc["held out"]
-        rows.append(("held out", f"{row['error']} {unit} ({row['rows']} rows)"))
+        rows.append(("held out", f"{with_unit(str(row['error']), unit)} ({row['rows']} rows)"))
     if "irreducible" in table.index:
         row = table.loc["irreducible"]
-        rows.append(("irreducible", f"{row['error']} {unit}, {row['remark']}"))
+        rows.append(("irreducible", f"{with_unit(str(row['error']), unit)}, {row['remark']}"))
     return rows
 
 
