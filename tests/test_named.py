@@ -98,7 +98,7 @@ def test_a_long_search_says_that_it_is_alive(
     first = capsys.readouterr().err
     assert first.startswith("miho: model: no value yet after 5 evaluations, 2 s")
     assert first.endswith(
-        "; DifferentialEvolution ends it by itself, or budget=miho.Budget(seconds=60) after a "
+        "; DifferentialEvolution stops by itself; budget=miho.Budget(seconds=60) limits it to a "
         "minute\n"
     )
     now[0] = 2.0 + LOGGED

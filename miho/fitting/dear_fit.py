@@ -18,7 +18,7 @@ from miho.parallel.worth import is_dear
 
 FIRST = 2.0
 """Seconds before the first line of progress."""
-LIMIT = "budget=miho.Budget(seconds=60) after a minute"
+LIMIT = "budget=miho.Budget(seconds=60) limits it to a minute"
 JournalPath = str | os.PathLike[str] | None
 
 
@@ -89,7 +89,7 @@ def pace_line(
     budget = budget or Budget()
     pace = Pace(budget, FIRST)
     endless = budget.evaluations is None and budget.seconds is None
-    hints = iter([f"; {type(method).__name__} ends it by itself, or {LIMIT}"] if endless else [])
+    hints = iter([f"; {type(method).__name__} stops by itself; {LIMIT}"] if endless else [])
 
     def observe(oracle: Oracle) -> None:
         pace.update(oracle)
