@@ -200,17 +200,18 @@ def profile_shapes(
     for p, (low, high), curve in zip(space.parameters, linearised, profiles, strict=True):
         if curve is None:
             continue
-        name, open_ends = p.name, []
+        name, sides, reach = p.name, [], []
         for side, end, tried, edge in zip(
             ("below", "above"), (curve.low, curve.high), curve.tried, (p.low, p.high), strict=True
         ):
             if np.isinf(end):
                 place = "the bound" if tried == edge else "the end of the profile"
-                open_ends.append(f"{side} ({tried:.4g}, {place})")
-        if open_ends:
+                sides.append(side)
+                reach.append(f"{'down' if side == 'below' else 'up'} to {tried:.4g}, {place}")
+        if sides:
             sentences.append(
-                f"the data do not limit {name} {' or '.join(open_ends)}: the fit is not "
-                "significantly worse up to there, and values beyond were not tried."
+                f"the data do not limit {name} {' or '.join(sides)}: the fit is not significantly "
+                f"worse {', and '.join(reach)}; values beyond were not tried."
             )
             continue
         half = (high - low) / 2

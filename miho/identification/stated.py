@@ -193,8 +193,9 @@ def at_limits(problem: CurveFit, theta: Array) -> list[str]:
     free = at_bounds(problem.space, theta)
     own = at_bounds(reported_space(problem.space), reported_values(problem, theta[None])[0])
     return sentences + [
-        f"{name} ends at a constraint, {values[name]:.6g}, so its standard error and the errors of "
-        "the parameters in that constraint do not hold; profile intervals respect the constraint"
+        f"{name} ends at a constraint, where it is {values[name]:.6g}: its standard error and the "
+        "standard errors of the other parameters in that constraint do not hold; profile intervals "
+        "respect the constraint"
         for k, name in _swapped(problem.space).items()
         if free[k] and not own[k]
     ]

@@ -215,7 +215,10 @@ def test_the_edge_of_the_box_is_an_open_end_and_not_minus_infinity() -> None:
         bounded = low == -5.0
         assert np.isfinite(curve.low) == bounded
         assert curve.tried[0] == (curve.low if bounded else low)
-        edge = f"the data do not limit b below ({low:g}, the bound)"
+        edge = (
+            "the data do not limit b below: the fit is not significantly worse down to "
+            f"{low:g}, the bound;"
+        )
         assert any(note.startswith(edge) for note in report.notes) != bounded
         for text in (str(report), report_text(report)):
             assert ("open" in text) != bounded
