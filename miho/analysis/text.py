@@ -15,6 +15,8 @@ SMALL, LARGE = 1e-4, 1e9
 """Numbers below SMALL and from LARGE on are printed with a power of ten."""
 KILO = 1e4
 """Values from this on are written in thousands of their unit."""
+DIGITS = 10
+"""Significant digits of a value at most: further ones are rounding."""
 PLACES = 6
 """Numbers that need more decimals than this are written with a power of ten."""
 USUAL = MappingProxyType({"rad": (180 / math.pi, "deg"), "rad/s": (30 / math.pi, "rpm")})
@@ -77,7 +79,7 @@ def scaled(value: float, unit: str) -> tuple[float, str]:
 def to_error(value: float, error: float) -> str:
     """A value with as many digits as its error allows (two of the error); "-" for NaN.
 
-    Six significant digits if the error is 0 or not finite.
+    Six significant digits if the error is 0 or not finite, and ten at most.
 
     Examples
     --------
@@ -89,6 +91,8 @@ def to_error(value: float, error: float) -> str:
         return "-"
     if not math.isfinite(error) or error <= 0 or math.isinf(value):
         return f"{value:.6g}"
+    if error < abs(value) / 10**DIGITS:
+        return f"{value:.{DIGITS}g}"
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > PLACES:
         exponent = math.floor(math.log10(max(abs(value), error)))
