@@ -60,7 +60,7 @@ def _report_command(root: str, states: Sequence[State]) -> str:
 
 
 def _print_errors(states: Sequence[State]) -> None:
-    """A line per problem and method: how many runs, and their errors."""
+    """Print the number of runs and their errors, one line per problem and method."""
     names = [state.request.identity for state in states]
     rows = [
         (name.problem, name.optimizer, state.error, state.unit)
@@ -131,7 +131,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         rows.append(
             ("best known", f"{with_unit(f'{math.sqrt(best):.5g}', unit)} ({source}), gap {gap}")
         )
-    # What the run spent, how it ended, and where it is stored.
+    # Cost, ending and folder of the run.
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),

@@ -21,7 +21,7 @@ from miho.study.redaction import redacted
 class State:
     """State of a request: its status, a line to print, and the reason if there is no result.
 
-    `run`: what is stored of it, where this process did it. `unit` is that of `error`.
+    `run`: the stored run, if this process executed it. `unit` is the unit of `error`.
     """
 
     request: Request

@@ -400,7 +400,7 @@ class Fit(Remade):
         return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:
-        """The parameters, the error, what is known of the optimum, and what takes them away."""
+        """The parameters, the error, the evidence for the optimum, and the caveats."""
         table, lines = self._printed()
         return "\n".join([table, *map(wrapped, lines)])
 
