@@ -178,7 +178,7 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1}}, "lacks c"),
         ((decay, t, y, BOX), {"start": {"a": [1, 2], "b": 1, "c": 1}}, "a has 2 values"),
         ((decay, t, y, BOX), {"start": {"a": [], "b": 1, "c": 1}}, "a has 0 values"),
-        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": 9}}, "c is 9; expected -5"),
+        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": 9}}, "c is 9; give one from -5"),
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": np.nan}}, "c is nan"),
         ((decay, -1e9 * t, y, {**BOX, "b": (1, 2)}), {}, "is not finite at t"),
         ((decay, t, np.vstack([y[:1], y[1:] * np.inf]), BOX), {}, "dataset 1: a value is not"),
