@@ -18,7 +18,7 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 LOOKS = 100
-"""Evaluations of all rows between two checks for Ctrl-C."""
+"""Looks at all rows between two chances for a Ctrl-C, or what derivatives cost if that is more."""
 
 
 def descended(rows: Rows, space: Space, start: Array) -> Array:
@@ -41,7 +41,7 @@ def descended(rows: Rows, space: Space, start: Array) -> Array:
         tally = np.zeros(5, np.int64)
         ended = run(
             *c[:3], stored, place, np.empty(1, np.int64), box, levels, minima, settings,
-            LOOKS * N, best, -math.inf, at, losses, thetas, tally, room,
+            max(LOOKS, d) * N, best, -math.inf, at, losses, thetas, tally, room,
         )  # fmt: skip
         if tally[1]:
             best, end = float(losses[tally[1] - 1]), thetas[tally[1] - 1].copy()

@@ -1,5 +1,7 @@
 """A descent from a start by the machine ends where SciPy's does, and stays in the box."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import scipy
@@ -9,7 +11,7 @@ from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.models import FunctionModel
 from miho.optim import Parameter, Space
-from miho.optim.gauss_newton_descent import descended
+from miho.optim.gauss_newton_descent import LOOKS, descended
 
 pytestmark = pytest.mark.skipif(machine() is None, reason="there is no machine")
 
@@ -51,3 +53,16 @@ def test_it_stays_at_a_start_without_finite_residuals() -> None:
     assert fit.machine_rows is not None
     start = np.array([np.nan, 1.0, 0.0])
     assert descended(fit.machine_rows, fit.space, start) is start
+
+
+def test_it_ends_with_more_parameters_than_looks_between_two_pauses() -> None:
+    names = [f"a{k}" for k in range(LOOKS + 1)]
+    terms = " + ".join(f"{name} * t" for name in names)
+    scope: dict[str, Callable[..., object]] = {}
+    exec(f"def total(t, *, {', '.join(names)}): return {terms}", scope)
+    data = Dataset("total", {"t": t, "y": t}, {"t": "", "y": ""}, "y")
+    space = Space(tuple(Parameter(name, "", low=-1.0, high=1.0) for name in names))
+    fit = CurveFit(FunctionModel(scope["total"]), data, space)
+    assert fit.machine_rows is not None
+    end = descended(fit.machine_rows, space, np.zeros(len(names)))
+    np.testing.assert_allclose(end.sum(), 1.0)

@@ -30,6 +30,7 @@ from miho.optim import (
     Problem,
     RunRecord,
     Space,
+    gauss_newton_steps,
     minimize,
 )
 from miho.optim.miho_gn_state import box_of, square_distances
@@ -401,6 +402,13 @@ def test_an_answer_at_a_billionth_of_its_range_is_at_no_bound() -> None:
         record = minimize(MIHOGN(), problem, Budget(evaluations=3000), seed)
         assert record.outcome is Outcome.CONVERGED
         assert record.theta == pytest.approx([3, 5, 1.2], rel=0.1)
+
+
+def test_derivatives_that_cost_more_than_a_block_end_no_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(gauss_newton_steps, "EVENTS", 2)
+    assert minimize(MIHOGN(), fit(), Budget()).outcome is Outcome.CONVERGED
 
 
 def test_what_knows_no_rows_is_asked_for_all_of_them() -> None:
