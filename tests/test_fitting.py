@@ -7,7 +7,7 @@ import math
 import pickle
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit, least_squares
 
 import miho
+from miho.compiled.kernel import Formula
 from miho.core import machine
 from miho.data import embedded_tire
 from miho.models import Pacejka, TireFormula
 from miho.models.tir_reader import read_tir
-from tests.printed import flat
+from tests.optim.decays import Decay
 
 DIGITS = 1e-6
 """Both descents end where a step changes the sum of squares by some 1e-10 of itself, which leaves
@@ -643,3 +644,26 @@ def test_without_the_machine_a_search_is_numpys() -> None:
     assert fit.values == pytest.approx(plain.values, rel=1e-9)
     assert fit.descents.screened == plain.descents.screened
     assert fit.descents.ends == pytest.approx(plain.descents.ends, rel=1e-9)
+
+
+@dataclass(frozen=True)
+class OtherOnArrays(Decay):
+    """A decay, whose amplitude on arrays, as its derivatives, has another form and a limit."""
+
+    @property
+    def value(self) -> Formula:
+        return lambda inputs, theta: super(OtherOnArrays, self).value(inputs, _own(inputs, theta))
+
+
+def _own(inputs: tuple[Any, ...], theta: tuple[Any, ...]) -> tuple[Any, ...]:
+    on_arrays = isinstance(inputs[0], np.ndarray)
+    return (theta[0] * np.sqrt(6.0 - theta[1]) if on_arrays else theta[0], *theta[1:])
+
+
+@needs_machine
+@pytest.mark.filterwarnings("ignore:OtherOnArrays")
+def test_a_start_is_descended_from_where_the_machine_gives_other_values() -> None:
+    y = 2 * np.exp(-8 * t) + 0.3
+    box = {"a": (0.0, 10.0), "b": (0.0, 20.0), "c": (-5.0, 5.0)}
+    fit = miho.fit(OtherOnArrays(), t, y, box, start={"a": 1.0, "b": 3.0, "c": 0.0})
+    assert math.isfinite(fit.error)

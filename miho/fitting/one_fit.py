@@ -35,6 +35,7 @@ from miho.models.tied import Tied, whole_model
 from miho.optim import Budget, Optimizer, Space
 from miho.optim.gauss_newton_descent import descended as descended_by_machine
 from miho.parallel import Evaluations, Workers
+from miho.quantities import Array
 
 EDGE = 1e-6
 """A value closer than this share of a range to one of its ends counts as at the edge."""
@@ -300,7 +301,7 @@ def descended(
         theta = free_values(problem.space, model.ties, start)
     rows = problem.machine_rows
     if rows is not None:
-        theta = descended_by_machine(rows, problem.space, theta)
+        theta = _better(problem, descended_by_machine(rows, problem.space, theta), theta)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
         raise ValueError(f"{title(problem)}: the loss at the start is not finite; give another one")
@@ -309,3 +310,13 @@ def descended(
         return descended(called, start)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
     return Fit(problem, descent.theta, descent.theta, moving=descent.moving)
+
+
+def _better(problem: CurveFit, end: Array, start: Array) -> Array:
+    """The end of a descent by the machine, or its start if the end is no better by NumPy.
+
+    A formula may give other values for arrays than on the machine.
+    """
+    with np.errstate(all="ignore"):
+        squares = (problem.residual_rows(np.array([end, start])) ** 2).sum(axis=1)
+    return end if squares[0] <= squares[1] or math.isnan(squares[1]) else start
