@@ -12,7 +12,7 @@ void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, 
     Py_buffer *view = &all->view[all->count];
     int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
     if (all->count == MOST_ARRAYS || PyObject_GetBuffer(o, view, flags)) return NULL;
-    all->count++;
+    all->is_written[all->count++] = writable;
     char is = view->format ? view->format[0] : 'B';
     int fits = view->ndim == axes && (is == expected || (is == 'q' && expected == 'l')) &&
         view->itemsize == (expected == '?' ? 1 : 8) && !view->format[1];
@@ -28,6 +28,18 @@ void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, 
 
 void *vector_of(arrays *all, PyObject *o, const char *name, char kind, int64_t n) {
     return array_of(all, o, name, kind, 1, &n);
+}
+
+int are_apart(const arrays *all) {
+    for (int k = 0; k < all->count; k++)
+        for (int j = 0; j < k; j++) {
+            const Py_buffer *a = &all->view[j], *b = &all->view[k];
+            uintptr_t from = (uintptr_t)a->buf, other = (uintptr_t)b->buf;
+            int meet = from < other + (uintptr_t)b->len && other < from + (uintptr_t)a->len;
+            if (meet && a->len && b->len && (all->is_written[j] || all->is_written[k]))
+                return refuse(all, "an array that is written overlaps another one");
+        }
+    return 1;
 }
 
 PyObject *field_of(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,

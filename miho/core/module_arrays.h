@@ -10,6 +10,7 @@
 typedef struct {
     const char *caller;
     Py_buffer view[MOST_ARRAYS];
+    int is_written[MOST_ARRAYS];
     PyObject *tape[2];
     int count;
 } arrays;
@@ -19,7 +20,9 @@ typedef struct {
    `shape` are filled in. */
 void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, int64_t *shape);
 void *vector_of(arrays *all, PyObject *o, const char *name, char kind, int64_t n);
-/* Field k of a record of `count` fields, a borrowed reference. */
+/* Whether no array that is written has memory in common with another; else an error is set. */
+int are_apart(const arrays *all);
+/* Field k of a record of `count`, a borrowed reference. */
 PyObject *field_of(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,
                 const char *name);
 /* Set an error, and return 0. */

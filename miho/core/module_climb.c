@@ -52,7 +52,8 @@ static int take(arrays *all, PyObject *const *a, const tape *t, measurements *m,
     c->best = PyFloat_AsDouble(a[5]);
     c->target = PyFloat_AsDouble(a[6]);
     if (PyErr_Occurred()) return 0;
-    return take_data(all, a + 1, t, m) && take_steps(all, a[4], c) && take_report(all, a + 7, c);
+    return take_data(all, a + 1, t, m) && take_steps(all, a[4], c) && take_report(all, a + 7, c) &&
+        are_apart(all);
 }
 
 const char climb_doc[] =

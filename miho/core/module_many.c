@@ -21,13 +21,13 @@ static int take_data(PyObject *const *a, arrays *all, many_data *to) {
         !(to->ends = array_of(all, a[3], "ends", 'l', 1, &ends))) return 0;
     to->N = X[1];
     to->datasets = ends - 1;
-    to->shared = PyObject_IsTrue(a[4]);
+    if ((to->shared = PyObject_IsTrue(a[4])) < 0) return 0;
     if (to->datasets < 1 || to->N < 1 || to->ends[0] || to->ends[ends - 1] != rows)
         return refuse(all, "ends do not match the rows of y");
     if (!to->shared && to->N != rows) return refuse(all, "X and y differ in length");
     for (int64_t k = 0; k < to->datasets; k++) {
-        int64_t size = to->ends[k + 1] - to->ends[k];
-        if (to->ends[k + 1] > rows || size < 1 || (to->shared && size != to->N))
+        int64_t from = to->ends[k], end = to->ends[k + 1];
+        if (end > rows || end <= from || (to->shared && end - from != to->N))
             return refuse(all, "a dataset is empty, or not as long as X");
     }
     return 1;
@@ -105,7 +105,8 @@ PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     int64_t n;
     int taken = take_tape(a[0], &all, &data) && take_data(a, &all, &data) &&
         take_box(a[5], &all, &data) && take_which(a[7], &all, &data, &which, &n) &&
-        take_starts(a[6], &all, data.d, n, &starts) && take_ends(a, &all, data.d, n, &ends);
+        take_starts(a[6], &all, data.d, n, &starts) && take_ends(a, &all, data.d, n, &ends) &&
+        are_apart(&all);
     int done = 0;
     if (taken) {
         PyThreadState *thread = PyEval_SaveThread();

@@ -157,7 +157,7 @@ static int take(PyObject *const *a, arrays *all, search *s) {
     if (!take_functions(a[0], a[1], all, X[0], p) || !take_levels(a[11], all, p) ||
         !take_minima(a[12], all, p, &s->minima) || !take_settings(a[13], all, &s->settings) ||
         !take_candidates(a + 4, all, s) || !take_report(a + 17, all, s) ||
-        !take_room(a[21], all, s)) return 0;
+        !take_room(a[21], all, s) || !are_apart(all)) return 0;
     s->most = PyLong_AsLongLong(a[14]);
     s->best = PyFloat_AsDouble(a[15]);
     s->target = PyFloat_AsDouble(a[16]);

@@ -132,7 +132,7 @@ PyObject *py_solve_trajectories(PyObject *module, PyObject *const *a, Py_ssize_t
         size[0] = shape[0];
         size[1] = c.R;
         out = thetas ? array_of(&all, a[4], "out", 'D', 2, size) : NULL;
-        taken = out != NULL;
+        taken = out && are_apart(&all);
     }
     if (taken) {
         Py_BEGIN_ALLOW_THREADS
@@ -162,7 +162,7 @@ PyObject *py_derive_trajectory(PyObject *module, PyObject *const *a, Py_ssize_t 
         taken = take_slopes(&all, a[2], c.S, &c, &of[0]) &&
             take_slopes(&all, a[3], c.K, &c, &of[1]) &&
             (theta = vector_of(&all, a[4], "theta", 'd', c.d)) &&
-            (out = array_of(&all, a[6], "out", 'D', 2, size));
+            (out = array_of(&all, a[6], "out", 'D', 2, size)) && are_apart(&all);
     }
     if (taken) {
         Py_BEGIN_ALLOW_THREADS

@@ -252,3 +252,10 @@ def test_what_is_no_number_no_record_or_no_tape_is_refused() -> None:
     two = Tape(1, 2, 3, 5, 5, (), (), (Instruction("COPY", (0,), (1,)),) * 2, ())
     with pytest.raises(ValueError, match="a tape with one result"):
         machine().climb(two.in_machine, *arguments()[1:])
+
+
+def test_arrays_that_overlap_are_refused() -> None:
+    given = arguments()
+    given[8] = given[7].view(float)
+    with pytest.raises(ValueError, match="overlaps another one"):
+        machine().climb(*given)

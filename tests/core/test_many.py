@@ -111,6 +111,7 @@ def test_where_the_formula_has_no_value_there_is_none() -> None:
         (1, np.zeros((1, N - 1)), "not as long as X"),
         (3, np.arange(M + 1) * N + 1, "ends do not match the rows"),
         (3, np.array([0, M * N, 0, M * N]), "a dataset is empty"),
+        (3, np.array([0, 5, np.iinfo(np.int64).min, -1, M * N]), "a dataset is empty"),
         (4, False, "X and y differ in length"),
         (5, (SPACE.low,), "box is no record"),
         (
@@ -139,6 +140,22 @@ def test_the_door_refuses(place: int, value: object, message: str) -> None:
     machine().fit_many(*arguments)
     arguments[place] = value
     with pytest.raises((ValueError, TypeError), match=message):
+        machine().fit_many(*arguments)
+
+
+@pytest.mark.parametrize("place", [7, 8, 9])
+def test_results_do_not_overwrite_what_was_checked(place: int) -> None:
+    one, memory = np.zeros(1, dtype=np.int64), np.zeros(3)
+    arrays = {
+        7: memory[:1].view(np.int64),
+        8: memory[None],
+        9: memory[:1],
+    }
+    ends = [np.empty((1, 3)), np.empty(1), np.empty((1, 3, 3)), np.zeros((1, 3), bool)]
+    arguments = [*fits_of(datasets())._given, (np.ones((1, 1, 3)), 1, False), one, *ends]
+    for k in {7, 8, 9} - {place}:
+        arguments[k] = arrays[k]
+    with pytest.raises(ValueError, match="overlaps another one"):
         machine().fit_many(*arguments)
 
 
