@@ -84,6 +84,26 @@ def test_tied_and_fixed_parameters_have_columns_too() -> None:
     assert table.loc[1, "a"] == pytest.approx(theta[0], rel=1e-4)
 
 
+@pytest.mark.parametrize("on_machine", [True, False])
+def test_what_the_data_do_not_determine_has_an_infinite_error(on_machine) -> None:
+    def sums(t, a, b, c, d):
+        t = t if on_machine else np.asarray(t)
+        return (a + c) * np.exp(-b * t) + d * d * 0.0
+
+    box = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5), "d": (-1, 1)}
+    table = miho.fit_many(sums, t, y[:3], box, start={"a": 1.0, "b": 1.0, "c": 1.0, "d": 0.5})
+    assert np.isinf(table[["a_error", "c_error", "d_error"]]).all(axis=None)
+    alone = miho.fit_many(
+        lambda t, a, b: a * np.exp(-b * t), t, y[:3], {"a": (0, 20), "b": (0, 20)}
+    )
+    assert table["b_error"].tolist() == pytest.approx(
+        (alone["b_error"] * np.sqrt(48 / 46)).tolist(), rel=1e-3
+    )
+    tied = miho.fit_many(sums, t, y[:3], box, tied={"a": "2 * c"})
+    assert np.isfinite(tied[["a_error", "c_error"]]).all(axis=None)
+    assert np.isinf(tied["d_error"]).all()
+
+
 @pytest.mark.slow
 def test_a_parameter_at_its_bound_has_no_error() -> None:
     table = miho.fit_many(decay, t, y[:2], {**BOX, "a": (0, 0.2)})

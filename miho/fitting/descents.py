@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.fitting.datasets import Datasets
+from miho.identification.inverse_root import INVOLVED, SINGULAR
 from miho.models.expression import Expression
 from miho.models.model import Model
 from miho.optim import Space
@@ -142,25 +143,42 @@ class Batch:
         return np.where(np.isfinite(sums), sums, np.inf)
 
     def covariance(self, ends: Ends) -> Array:
-        """Covariance (M, d, d) at the ends; NaN at a bound, and without a degree of freedom."""
+        """Covariance (M, d, d) at the ends; NaN at a bound and where rows are too few.
+
+        A parameter that the data do not determine has an infinite variance.
+        """
         low, high = self.space.low, self.space.high
         held = (ends.thetas <= low) | (ends.thetas >= high)
         freedom = self.rows - (~held).sum(axis=1)
         covariance = np.full((*held.shape, held.shape[1]), np.nan)
         for chunk in self.chunks(np.flatnonzero(freedom > 0)):
-            A = normal_matrix(self.slopes(ends.thetas[chunk], chunk), held[chunk])
-            scale = np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST))
-            scales = scale[:, :, None] * scale[:, None, :]
-            inverse = np.linalg.pinv(A / scales, hermitian=True) / scales
-            inverse[held[chunk][:, :, None] | held[chunk][:, None, :]] = np.nan
-            variance = ends.squares[chunk] / freedom[chunk]
-            covariance[chunk] = inverse * variance[:, None, None]
+            J = self.slopes(ends.thetas[chunk], chunk)
+            J = np.where(held[chunk][:, None, :], 0.0, J)
+            finite = np.reshape(np.isfinite(J).all(axis=(1, 2)), (-1, 1))
+            unknown = held[chunk] | ~finite
+            inverse, free = inverses(np.where(np.isfinite(J), J, 0.0))
+            inverse *= (ends.squares[chunk] / freedom[chunk])[:, None, None]
+            k, j = np.nonzero(free)
+            inverse[k, j], inverse[k, :, j], inverse[k, j, j] = 0.0, 0.0, np.inf
+            inverse[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+            covariance[chunk] = inverse
         return covariance
 
     def chunks(self, which: Indices) -> list[Indices]:
         """Datasets in chunks of about NUMBERS values and derivatives."""
         size = max(1, NUMBERS // (self.outputs.shape[1] * (len(self.space) + 1)))
         return [which[k : k + size] for k in range(0, which.size, size)]
+
+
+def inverses(J: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """The pseudo-inverse (n, d, d) of J.T J, and which parameters (n, d) J does not determine."""
+    scale = np.linalg.norm(J, axis=1)
+    scale[scale == 0] = 1.0
+    _, s, V = np.linalg.svd(J / scale[:, None, :], full_matrices=False)
+    determined = s > SINGULAR * s[:, :1]
+    V = np.where(determined[..., None], V, 0.0)
+    root = V / np.where(determined, s, 1.0)[..., None] / scale[:, None, :]
+    return root.transpose(0, 2, 1) @ root, 1 - (V**2).sum(axis=1) > INVOLVED**2
 
 
 def normal_matrix(J: Array, held: NDArray[np.bool_]) -> Array:

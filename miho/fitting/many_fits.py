@@ -61,55 +61,17 @@ def fit_many(
     there, then again from the best of other datasets' optima. Some datasets are then searched
     longer, to check the others. With a `start`, each dataset descends from it, without a check.
 
-    Parameters
-    ----------
-    model : Model or callable
-        A function of input columns and parameters, or a `Model`, as in `miho.fit`.
-    x : array_like, tuple, mapping or DataFrame
-        With `by` a data frame of all datasets; else columns of shape (N,), which all datasets
-        share, or (M, N).
-    y : str or array_like of shape (M, N)
-        With `by` the name of the output column; else the output of each dataset.
-    space : Space or mapping of str
-        Bounds of each parameter by name, as in `miho.fit`; priors are not supported.
-    by : str, optional
-        Column of `x` with one value for each dataset.
-    start : mapping of str to float or array_like of shape (M,), optional
-        A value for each free parameter, for all datasets or for each.
-    fixed : mapping of str to float, optional
-        Parameters that are fixed to numbers.
-    tied : mapping of str to str, optional
-        Parameters that are tied to expressions of other parameters.
-    constraints : str or sequence of str, optional
-        Linear constraints, for example "a < b".
-    seed : int, optional
-        Seed of the searches.
-
-    Returns
-    -------
-    DataFrame
-        A row for each dataset, with columns for each parameter and its standard error (`a`,
-        `a_error`; NaN at a bound or without a degree of freedom), the root-mean-square `error` in
-        the unit of the output, the number of `rows`, and whether the descent `converged`. `attrs`
-        counts the `checked` datasets and those with a `better` optimum, which also raise a warning.
-
-    Raises
-    ------
-    ValueError
-        If model, data and settings do not fit together, or if no finite value was found.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import miho
-    >>> t = np.linspace(0, 2, 50)
-    >>> y = np.array([a * np.exp(-1.5 * t) for a in (1.0, 2.0, 3.0)])
-    >>> table = miho.fit_many(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
-    >>> table[["a", "b", "converged"]].round(4)
-         a    b  converged
-    0  1.0  1.5       True
-    1  2.0  1.5       True
-    2  3.0  1.5       True
+    Each dataset of a formula descends from the best of common starts, and again from the best of
+    other ones, until the descents agree. Of what is no formula, a few datasets are searched whole;
+    the others descend from the best of where those ended, and again from where others ended that
+    are worse off. Some datasets are then searched longer, to see whether the others can be
+    believed. With a `start`, a number or one for each dataset (M,) of every free parameter, each
+    descends from there and is not checked.
+    The columns are each parameter and its standard error (`a`, `a_error`), the root-mean-square
+    `error`, `rows`, and whether the descent `converged`. A standard error is NaN at a bound, and
+    infinite where the data do not determine a parameter. The table's `attrs` say of how many
+    `checked` datasets the search found a `better` optimum, of which a warning tells.
+    Raises ValueError for what does not fit together.
     """
     import pandas as pd
 
@@ -240,10 +202,14 @@ def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Arra
 def _table(
     problem: CurveFit, rows: NDArray[np.int64], ends: Ends, covariance: Array, index: pd.Index
 ) -> pd.DataFrame:
-    """Table of the results, a row per dataset; unknown standard errors are NaN."""
+    """A row per dataset; standard errors are NaN at a bound and without a degree of freedom.
+
+    They are infinite where the data do not determine a parameter.
+    """
     import pandas as pd
 
-    unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    unknown, free = np.isnan(variances), np.isinf(variances)
     names, values, model = problem.space.names, ends.thetas, problem.model
     if isinstance(model, Tied):
         own = [*model.ties.names, *(p.name for p in problem.space.parameters if p.stands_for)]
@@ -251,10 +217,11 @@ def _table(
         slopes = np.broadcast_to(np.eye(len(names))[extra], (len(values), len(extra), len(names)))
         slopes = np.concatenate([model.ties.value_slopes(values), slopes], axis=1)
         values = np.concatenate([model.ties.values(values), values[:, extra]], axis=1)
-        covariance = slopes @ np.nan_to_num(covariance) @ slopes.transpose(0, 2, 1)
-        unknown = ((slopes != 0) & unknown[:, None, :]).any(axis=2)
+        covariance = slopes @ np.nan_to_num(covariance, posinf=0.0) @ slopes.transpose(0, 2, 1)
+        unknown, free = (((slopes != 0) & some[:, None, :]).any(axis=2) for some in (unknown, free))
         names = (*model.ties.names, *(names[k] for k in extra))
-    errors = np.where(unknown, np.nan, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
+    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    errors = np.where(unknown, np.nan, np.where(free, np.inf, errors))
     columns: dict[str, Any] = {}
     for k, name in enumerate(names):
         columns |= {name: values[:, k], f"{name}_error": errors[:, k]}
