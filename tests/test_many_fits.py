@@ -84,6 +84,32 @@ def test_tied_and_fixed_parameters_have_columns_too() -> None:
     assert table.loc[1, "a"] == pytest.approx(theta[0], rel=1e-4)
 
 
+@pytest.mark.skipif(machine() is None, reason="there is no machine")
+def test_a_descent_that_ends_at_the_edge_of_what_has_values_has_not_converged() -> None:
+    lines = 1 + 2 * t + 0.01 * rng.standard_normal((3, 50))
+    box, start = {"a": (-10, 10), "b": (0, 5)}, {"a": 0.0, "b": 0.5}
+    table = miho.fit_many(
+        lambda t, a, b: a + b * t + 0 * np.sqrt(1 - b), t, lines, box, start=start
+    )
+    assert table["b"].tolist() == pytest.approx([1.0] * 3)
+    assert not table["converged"].any()
+
+
+@pytest.mark.parametrize("unit", [1e20, 1e-20])
+def test_the_unit_of_a_parameter_does_not_matter(unit: float) -> None:
+    box, start = {**BOX, "a": (0, 10 * unit)}, {"a": 1.3 * unit, "b": 0.5, "c": 0.0}
+    plain = miho.fit_many(decay, t, y[:9], BOX)
+    for given in (None, start):
+        table = miho.fit_many(
+            lambda t, a, b, c: decay(t, a / unit, b, c), t, y[:9], box, start=given
+        )
+        assert table["converged"].all()
+        assert (table["a"] / unit).tolist() == pytest.approx(plain["a"].tolist(), rel=1e-6)
+        assert (table["a_error"] / unit).tolist() == pytest.approx(
+            plain["a_error"].tolist(), rel=1e-5
+        )
+
+
 @pytest.mark.parametrize("on_machine", [True, False])
 def test_what_the_data_do_not_determine_has_an_infinite_error(on_machine) -> None:
     def sums(t, a, b, c, d):

@@ -18,11 +18,10 @@
 #define RESTART_DAMPING 1e-6
 #define SMALLEST_DAMPING 1e-12
 #define LARGEST_DAMPING 1e10
-#define FADING 0.3              /* largest decrease of a scale per step */
-#define SMALLEST_SCALE 1e-10    /* relative to the largest scale */
-#define REACH 0.25              /* longest step, as a share of the box */
-/* A step that gains, or promises, less than this share of the sum of squares is the last. If it
-   promises less because of the damping, the damping decreases. */
+#define FADING 0.3              /* a scale falls by no more from step to step */
+#define REACH 0.25              /* of the box, in search coordinates: no step is longer */
+/* A step that gains less than this share of the sum of squares, or promises less, is the last. If
+   it promises less because of the damping, that falls. */
 #define STANDSTILL 1e-13
 #define DONE_DAMPING 1e-3
 #define TRIES 12
@@ -137,7 +136,6 @@ static void evaluate(fitter *w, place *at) {
 /* Scales from the norms of columns; 0 if a derivative is not finite. */
 static int set_scales(fitter *w, double fading) {
     int64_t d = w->data->d, side = d + 1;
-    double largest = 0.0;
     for (int64_t k = 0; k < d; k++) {
         double square = 0.0;
         for (int64_t j = 0; j <= k; j++) {
@@ -146,28 +144,37 @@ static int set_scales(fitter *w, double fading) {
         }
         if (!isfinite(square)) return 0;
         w->D[k] = larger(sqrt(square), fading * w->D[k]);
-        largest = larger(largest, w->D[k]);
     }
-    for (int64_t k = 0; k < d; k++) w->D[k] = larger(w->D[k], SMALLEST_SCALE * largest);
     return 1;
 }
 
-/* Set the trial to the next step; returns the gain in the linear model, 0 if the descent is
-   done. */
+static double divisor(double scale) { return scale > 0.0 ? scale : 1.0; }
+
+/* Write a triangular factor of n columns, divided by their scales, to the trial's, which is free:
+   else the unit of one parameter could make another one seem to be without effect. */
+static void divide_columns(fitter *w, const double *R, int64_t side, int64_t n) {
+    for (int64_t k = 0; k < n; k++)
+        for (int64_t row = 0; row <= k; row++)
+            w->trial.R[row * side + k] = R[row * side + k] / divisor(w->D[k]);
+}
+
+/* Set the trial to the next step; how much that gains by the linear model, 0 if the descent is done
+   there. */
 static double propose(fitter *w, double *damping) {
     int64_t d = w->data->d, side = d + 1;
     const double *x = w->here.x, *R = w->here.R;
     double square = 0.0;
+    divide_columns(w, R, side, d);
     for (int64_t k = 0; k < d; k++) {
         double reach = REACH * (w->high[k] - w->low[k]), q = R[k * side + d];
-        w->step_low[k] = larger(w->low[k] - x[k], -reach);
-        w->step_high[k] = smaller(w->high[k] - x[k], reach);
+        w->step_low[k] = divisor(w->D[k]) * larger(w->low[k] - x[k], -reach);
+        w->step_high[k] = divisor(w->D[k]) * smaller(w->high[k] - x[k], reach);
         square += q * q;
     }
-    box_problem b = {R, R + d, w->scale, w->step_low, w->step_high, side, side, d};
+    box_problem b = {w->trial.R, R + d, w->scale, w->step_low, w->step_high, side, side, d};
     for (int count = 0; count < TRIES; count++) {
         double root = sqrt(*damping);
-        for (int64_t k = 0; k < d; k++) w->scale[k] = root * w->D[k];
+        for (int64_t k = 0; k < d; k++) w->scale[k] = root;
         solve_in_box(&b, w->step, &w->solver);
         double gain = square - square_norm(&b, w->step);
         if (!(gain > STANDSTILL * w->here.squares)) {
@@ -177,9 +184,10 @@ static double propose(fitter *w, double *damping) {
         }
         int differs = 0;
         for (int64_t k = 0; k < d; k++) {
-            double step = w->step[k], to = between(w->low[k], x[k] + step, w->high[k]);
-            if (step <= w->low[k] - x[k]) to = w->low[k];
-            if (step >= w->high[k] - x[k]) to = w->high[k];
+            double step = w->step[k], D = divisor(w->D[k]);
+            double to = between(w->low[k], x[k] + step / D, w->high[k]);
+            if (step <= D * (w->low[k] - x[k])) to = w->low[k];
+            if (step >= D * (w->high[k] - x[k])) to = w->high[k];
             w->trial.x[k] = to;
             differs = differs || to != x[k];
         }
@@ -235,7 +243,10 @@ static int descend_here(fitter *w) {
             damping = larger(damping * growth, RESTART_DAMPING);
             growth *= 2.0;
         }
-        if (last || damping > LARGEST_DAMPING) break;
+        int stuck = damping > LARGEST_DAMPING;
+        /* Where the formula has no value beyond, it may fall along the edge. */
+        if (stuck && !isfinite(w->trial.squares)) return 0;
+        if (last || stuck) break;
         if (steps == STEPS - 1) return 0;
     }
     w->here.converged = !w->stopped;
@@ -307,12 +318,22 @@ static double solve_linear(fitter *w, const look *at, const double *theta) {
     }
     if (inside) return 0.0;
     for (int64_t j = 0; j < L; j++) {
+        double square = 0.0;
+        for (int64_t k = 0; k <= j; k++) square += at->factor[k * L + j] * at->factor[k * L + j];
+        w->D[j] = divisor(sqrt(square));
+    }
+    divide_columns(w, at->factor, L, L);
+    for (int64_t j = 0; j < L; j++) {
         w->q[j] = -w->q[j];
         w->scale[j] = 0.0;
+        w->step_low[j] *= w->D[j];
+        w->step_high[j] *= w->D[j];
     }
-    box_problem b = {at->factor, w->q, w->scale, w->step_low, w->step_high, L, 1, L};
+    box_problem b = {w->trial.R, w->q, w->scale, w->step_low, w->step_high, L, 1, L};
     solve_in_box(&b, w->step, &w->solver);
-    return square_norm(&b, w->step);
+    double more = square_norm(&b, w->step);
+    for (int64_t j = 0; j < L; j++) w->step[j] /= w->D[j];
+    return more;
 }
 
 /* Write the start of a bracket with the lowest sum of squares over its linear parameters to

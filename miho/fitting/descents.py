@@ -246,6 +246,7 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
         damping[k] *= np.where(taken, EASED, HARDENED)
         last = np.abs(gain) <= STANDSTILL * (squares[k] + LEAST)
         stuck = ~usable | (damping[k] > MOST_DAMPED)
-        converged[k] |= last | (stuck & usable)
+        # Where the model has no value beyond, it may fall along the edge.
+        converged[k] |= last | (stuck & usable & np.isfinite(values))
         moving[k] = ~(last | stuck)
     return Ends(np.clip(space.decode(x), space.low, space.high), squares, converged)
