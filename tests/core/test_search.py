@@ -360,7 +360,7 @@ BAD: dict[str, Any] = {
     "losses": [lambda a: a[:3].copy()],
     "thetas": [lambda a: a[:, :2].copy(), lambda a: a[:3].copy()],
     "tally": [np.zeros(4, np.int64), np.ones(5, np.int64)],
-    "room": [lambda a: a[:100].copy(), lambda a: a.astype(np.float32)],
+    "room": [lambda a: a[:100].copy(), lambda a: np.zeros(a.size, np.float32)],
 }  # fmt: skip
 
 
