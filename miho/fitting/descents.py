@@ -26,6 +26,8 @@ above it no step decreases the loss."""
 STANDSTILL = 1e-13
 """A step that decreases the sum of squares by less than this share is the last."""
 LEAST = 1e-300
+LEAST_DAMPED = 1e-12
+"""Less damping would leave the equations singular where derivatives depend on each other."""
 CUBE_ROOT = float(np.cbrt(np.finfo(float).eps))
 SMALL = 1e-6
 """Smallest size of a parameter for finite differences, as a share of its range."""
@@ -243,7 +245,7 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
         gain = squares[k] - values
         taken = gain > 0
         x[k[taken]], squares[k[taken]] = trial[taken], values[taken]
-        damping[k] *= np.where(taken, EASED, HARDENED)
+        damping[k] = np.maximum(damping[k] * np.where(taken, EASED, HARDENED), LEAST_DAMPED)
         last = np.abs(gain) <= STANDSTILL * (squares[k] + LEAST)
         stuck = ~usable | (damping[k] > MOST_DAMPED)
         # Where the model has no value beyond, it may fall along the edge.
