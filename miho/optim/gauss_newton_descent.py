@@ -18,7 +18,7 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 LOOKS = 100
-"""Looks at all rows between two chances for a Ctrl-C, or what derivatives cost if that is more."""
+"""Evaluations of all rows between two checks for Ctrl-C, at least the cost of one Jacobian."""
 
 
 def descended(rows: Rows, space: Space, start: Array) -> Array:

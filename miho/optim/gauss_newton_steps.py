@@ -64,7 +64,7 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
 
     # The oracle limits the evaluations of a block, and records them.
     def block(most: float, best: float, target: float) -> Block:
-        limit = round(min(most, max(EVENTS, least)) * N)  # whole rows but for rounding
+        limit = round(min(most, max(EVENTS, least)) * N)  # a whole number of rows, up to rounding
         tally = np.zeros(5, np.int64)
         ended = run(
             *c[:3], state.stored, state.place, state.order, state.box,
