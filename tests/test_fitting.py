@@ -24,6 +24,7 @@ from miho.data import embedded_tire
 from miho.models import Pacejka, TireFormula
 from miho.models.tir_reader import read_tir
 from tests.optim.decays import Decay
+from tests.printed import flat
 
 DIGITS = 1e-6
 """Both descents end where a step changes the sum of squares by some 1e-10 of itself, which leaves

@@ -18,10 +18,10 @@
 #define RESTART_DAMPING 1e-6
 #define SMALLEST_DAMPING 1e-12
 #define LARGEST_DAMPING 1e10
-#define FADING 0.3              /* a scale falls by no more from step to step */
-#define REACH 0.25              /* of the box, in search coordinates: no step is longer */
-/* A step that gains less than this share of the sum of squares, or promises less, is the last. If
-   it promises less because of the damping, that falls. */
+#define FADING 0.3              /* largest decrease of a scale per step */
+#define REACH 0.25              /* longest step, as a share of the box */
+/* A step that gains, or promises, less than this share of the sum of squares is the last. If it
+   promises less because of the damping, the damping decreases. */
 #define STANDSTILL 1e-13
 #define DONE_DAMPING 1e-3
 #define TRIES 12
@@ -158,8 +158,8 @@ static void divide_columns(fitter *w, const double *R, int64_t side, int64_t n) 
             w->trial.R[row * side + k] = R[row * side + k] / divisor(w->D[k]);
 }
 
-/* Set the trial to the next step; how much that gains by the linear model, 0 if the descent is done
-   there. */
+/* Set the trial to the next step; returns the gain in the linear model, 0 if the descent is
+   done. */
 static double propose(fitter *w, double *damping) {
     int64_t d = w->data->d, side = d + 1;
     const double *x = w->here.x, *R = w->here.R;

@@ -145,7 +145,7 @@ class Batch:
         return np.where(np.isfinite(sums), sums, np.inf)
 
     def covariance(self, ends: Ends) -> Array:
-        """Covariance (M, d, d) at the ends; NaN at a bound and where rows are too few.
+        """Covariance (M, d, d) at the ends; NaN at a bound, and without a degree of freedom.
 
         A parameter that the data do not determine has an infinite variance.
         """

@@ -61,17 +61,56 @@ def fit_many(
     there, then again from the best of other datasets' optima. Some datasets are then searched
     longer, to check the others. With a `start`, each dataset descends from it, without a check.
 
-    Each dataset of a formula descends from the best of common starts, and again from the best of
-    other ones, until the descents agree. Of what is no formula, a few datasets are searched whole;
-    the others descend from the best of where those ended, and again from where others ended that
-    are worse off. Some datasets are then searched longer, to see whether the others can be
-    believed. With a `start`, a number or one for each dataset (M,) of every free parameter, each
-    descends from there and is not checked.
-    The columns are each parameter and its standard error (`a`, `a_error`), the root-mean-square
-    `error`, `rows`, and whether the descent `converged`. A standard error is NaN at a bound, and
-    infinite where the data do not determine a parameter. The table's `attrs` say of how many
-    `checked` datasets the search found a `better` optimum, of which a warning tells.
-    Raises ValueError for what does not fit together.
+    Parameters
+    ----------
+    model : Model or callable
+        A function of input columns and parameters, or a `Model`, as in `miho.fit`.
+    x : array_like, tuple, mapping or DataFrame
+        With `by` a data frame of all datasets; else columns of shape (N,), which all datasets
+        share, or (M, N).
+    y : str or array_like of shape (M, N)
+        With `by` the name of the output column; else the output of each dataset.
+    space : Space or mapping of str
+        Bounds of each parameter by name, as in `miho.fit`; priors are not supported.
+    by : str, optional
+        Column of `x` with one value for each dataset.
+    start : mapping of str to float or array_like of shape (M,), optional
+        A value for each free parameter, for all datasets or for each.
+    fixed : mapping of str to float, optional
+        Parameters that are fixed to numbers.
+    tied : mapping of str to str, optional
+        Parameters that are tied to expressions of other parameters.
+    constraints : str or sequence of str, optional
+        Linear constraints, for example "a < b".
+    seed : int, optional
+        Seed of the searches.
+
+    Returns
+    -------
+    DataFrame
+        A row for each dataset, with columns for each parameter and its standard error (`a`,
+        `a_error`; NaN at a bound or without a degree of freedom, infinite if the data do not
+        determine the parameter), the root-mean-square `error` in
+        the unit of the output, the number of `rows`, and whether the descent `converged`. `attrs`
+        counts the `checked` datasets and those with a `better` optimum, which also raise a warning.
+
+    Raises
+    ------
+    ValueError
+        If model, data and settings do not fit together, or if no finite value was found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> t = np.linspace(0, 2, 50)
+    >>> y = np.array([a * np.exp(-1.5 * t) for a in (1.0, 2.0, 3.0)])
+    >>> table = miho.fit_many(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
+    >>> table[["a", "b", "converged"]].round(4)
+         a    b  converged
+    0  1.0  1.5       True
+    1  2.0  1.5       True
+    2  3.0  1.5       True
     """
     import pandas as pd
 
