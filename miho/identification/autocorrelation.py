@@ -33,6 +33,10 @@ SPANNED = 1e-8
 """Columns are spanned by others if at most this fraction of them is left without the others."""
 LEAST_INFORMATION = 1.0
 """Lower limit of the information: atanh of a partial autocorrelation has a prior deviation of 1."""
+UNBELIEVABLE = 30.0
+"""A model with more than this multiple of the mean square of the errors is not used. On simulated
+drives models that fit have 1.4 to 2.1 times the mean square, models with a root next to 1 over 130
+times."""
 
 
 class Likeness(NamedTuple):
@@ -143,6 +147,9 @@ def autoregression(
     The model therefore maximises the restricted likelihood, which allows for the fitted `basis`
     (N, d) (Cheang and Reinsel, JASA 95, 2000).
 
+    For very smooth errors, for example of a filtered log, the restricted likelihood can prefer a
+    root next to 1, with a variance that the errors do not have. Burg's model is taken then.
+
     Returns the model, and 2 p models one standard error away along p independent directions of the
     coefficients: first all on one side, then all on the other.
     """
@@ -160,6 +167,8 @@ def autoregression(
         method="L-BFGS-B",
         bounds=[(-NEAREST, NEAREST)] * start.size,
     ).x
+    if likelihood.model(end).autocovariances[0] > UNBELIEVABLE * np.mean(errors**2):
+        end = start
     information, directions = np.linalg.eigh(likelihood.curvature(end) / 2)
     sides = directions / np.sqrt(np.maximum(information, LEAST_INFORMATION))
     return likelihood.model(end), [likelihood.model(end + s) for s in (*sides.T, *-sides.T)]
