@@ -1,4 +1,4 @@
-"""From a composed configuration to the problem, the method and the identity of a run."""
+"""Build the problem, the method and the identity of a run from a composed configuration."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from miho.study import Identity, Store, StoredRun
 from miho.validate import positive
 
 Settings = DictConfig | Mapping[str, Any]
-"""A composed configuration, or what `plain` makes of it."""
+"""A composed configuration, or the plain data that `plain` returns."""
 MEANS = ("workers", "evaluation_limit")
-"""Settings by which a run is done; it is the same without."""
+"""Settings of how a run is executed; they are not part of its identity."""
 PARTS = (
     "model", "dataset", "space", "loss", "problem", "optimizer", "method", "budget", "seed", "root",
 )  # fmt: skip
@@ -57,10 +57,11 @@ class Experiment:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Facts about the problem that are stored: the unit of its error, and lower bounds of it.
+        """Stored facts about the problem: the unit of its error, and lower bounds of the error.
 
-        `called_as` tells how functions of the user's are called, for who repeats the run. `optimum`
-        is the smallest loss in the space, where linear algebra finds it or it is known.
+        `called_as` says how the user's functions are called, so that a repeated run calls them in
+        the same way. `optimum` is the smallest loss in the space, if linear algebra finds it or
+        the problem records it.
         """
         facts = dict(_facts(self.problem))
         if self.optimum is not None:
@@ -85,9 +86,9 @@ def _facts(problem: CurveFit) -> Mapping[str, Any]:
 
 
 def plain(cfg: Settings) -> Mapping[str, Any]:
-    """What one run is made of, resolved and as plain data; what is plain stays as it is.
+    """Return the resolved configuration of one run as plain data; plain data is returned unchanged.
 
-    Raises ConfigError for a key that no configuration has.
+    Raises ConfigError for an unknown key.
     """
     if not isinstance(cfg, DictConfig):
         return cfg
@@ -104,16 +105,16 @@ def plain(cfg: Settings) -> Mapping[str, Any]:
 
 
 def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
-    """Check and build everything one run needs; raises ConfigError or a loader's own error.
+    """Check the configuration and build one run; raises ConfigError or the error of a loader.
 
-    `problem` is what `build_problem` gave for the same configuration, if it was built before. A
-    problem of whose run something is stored is not evaluated to see whether it can be.
+    `problem` is the result of `build_problem` for the same configuration, if it was built before.
+    The problem is not evaluated as a check if a result or an evaluation log of the run is stored.
     """
     setting = plain(cfg)
     workers, limit = _means(setting)
     root = _root(setting["root"])
     if runs_own_code(setting):
-        root = root.absolute()  # now, since the user's file may change the working directory
+        root = root.absolute()  # the user's file may change the working directory later
     optimizer = build_optimizer(setting)
     if setting["seed"] < 0:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
@@ -150,7 +151,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
 
 
 def _means(setting: Mapping[str, Any]) -> tuple[int | str, float | None]:
-    """The checked workers of a run and the limit of its evaluations; raises ConfigError."""
+    """Check and return the workers of a run and the time limit of its evaluations."""
     workers, limit = setting.get("workers", 1), setting.get("evaluation_limit")
     try:
         if not is_address(workers):
@@ -163,32 +164,32 @@ def _means(setting: Mapping[str, Any]) -> tuple[int | str, float | None]:
 
 
 def runs_own_code(cfg: Settings) -> bool:
-    """Whether building this configuration runs a file of the user's."""
+    """Whether building this configuration runs a file of the user."""
     return bool(model_files(plain(cfg)))
 
 
 def recorded_optimum(cfg: Settings) -> float | None:
-    """The smallest known error of a problem, at least its resolution; None if none is recorded."""
+    """Smallest known error of a problem, at least its resolution; None if none is recorded."""
     recorded = cfg["problem"]["optimum"], cfg["problem"]["resolution"]
     return None if recorded[0] is None else max(float(value or 0.0) for value in recorded)
 
 
 def build_optimizer(cfg: Settings) -> Optimizer:
-    """The method alone."""
+    """Build only the method."""
     return instantiate(part_of(plain(cfg), "optimizer"), "optimizer", Optimizer)
 
 
 def method_of(cfg: Settings) -> str:
-    """The name of the method in the results: `method`, or else the name of its class."""
+    """Name of the method in the results: `method`, or else the name of its class."""
     setting = plain(cfg)
     target = str(part_of(setting, "optimizer").get("_target_"))
     return str(setting["method"] or target.rpartition(".")[2].lower())
 
 
 def build_problem(cfg: Settings, dataset: Dataset | None = None, *, dear: bool = False) -> CurveFit:
-    """The problem alone; `dataset` is what its configuration gave, if it was built before.
+    """Build only the problem, from `dataset` if the data were built before.
 
-    A model that is known to be `dear` is not evaluated here.
+    With `dear` the model counts as expensive and is not evaluated here.
     """
     setting = plain(cfg)
     dataset, problem_of = _statement(setting, dataset)
@@ -208,7 +209,7 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None, *, dear: bool =
 def _statement(
     config: Mapping[str, Any], dataset: Dataset | None = None
 ) -> tuple[Dataset, Callable[..., CurveFit]]:
-    """The data, and what makes the problem of a space and of other settings of `CurveFit`."""
+    """Return the data and a function that builds the problem from a space and other settings."""
     settings = part_of(config, "problem")
     if settings.get("parts"):
         joint = _joint(config)
@@ -231,9 +232,9 @@ def _statement(
 
 
 def _in_order(space: Space, model: Model) -> Space:
-    """The model's parameters in its order, then others by name.
+    """Return the space with the model's parameters in the model's order, then others by name.
 
-    The order of a mapping means nothing: a stored run keeps none.
+    A stored run does not keep the order of a mapping.
     """
     places = {name: place for place, name in enumerate(model.parameters)}
     last = len(places)
@@ -242,7 +243,7 @@ def _in_order(space: Space, model: Model) -> Space:
 
 
 def _joint(config: Mapping[str, Any]) -> Joint:
-    """The parts of a joint problem, each with its own settings over those of all."""
+    """Build the parts of a joint problem; settings of a part override the settings of all parts."""
     settings = part_of(config, "problem")
     parts = {}
     for name, nodes in part_nodes(config).items():
@@ -261,7 +262,7 @@ def _joint(config: Mapping[str, Any]) -> Joint:
 
 
 def _joint_settings(settings: Mapping[str, Any], problem: CurveFit) -> dict[str, Any]:
-    """What a run's identity names of a joint problem, with sigma where it was estimated."""
+    """Settings of a joint problem in the identity of a run, with sigma even if it was estimated."""
     sigma, index = problem.dataset[DEVIATION], problem.dataset[PART]
     parts = {}
     for k, (name, part) in enumerate(settings["parts"].items()):
@@ -271,9 +272,10 @@ def _joint_settings(settings: Mapping[str, Any], problem: CurveFit) -> dict[str,
 
 
 def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
-    """The problem of a stored run, made again from its configuration and checked to be the same.
+    """Build the problem of a stored run again from its configuration; the data must be the same.
 
-    A model in a file of the user's is code: it runs only if `trusted`, and it is called as it was.
+    A model in a file of the user is code: it runs only if `trusted`, and it is called in the same
+    way as in the stored run.
     """
     config = {
         key: stored_part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")
@@ -300,7 +302,7 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
 
 
 def stored_part(stored: StoredRun, key: str) -> Mapping[str, Any]:
-    """One group of the configuration of a stored run; raises ConfigError if it is no mapping."""
+    """Return one group of the configuration of a stored run, which must be a mapping."""
     whole = stored.config
     part = whole.get(key) if isinstance(whole, Mapping) else None
     if not isinstance(part, Mapping):
@@ -309,7 +311,7 @@ def stored_part(stored: StoredRun, key: str) -> Mapping[str, Any]:
 
 
 def build_dataset(node: Mapping[str, Any]) -> Dataset:
-    """The dataset that `node` describes."""
+    """Build the dataset that `node` describes."""
     return instantiate(node, "dataset", Dataset)
 
 
@@ -321,14 +323,14 @@ UNBOUNDED = {"low": -math.inf, "high": math.inf}
 
 
 def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The settings of a space as numbers, where `scaled` gave them as multiples of the data.
+    """Settings of a space as numbers; `scaled` gives multiples of a column's largest magnitude.
 
     See `experiments.app.schema.ParameterConfig`. Raises ConfigError.
     """
     space: dict[str, dict[str, Any]] = {}
     for name, settings in node.items():
         plain = {key: value for key, value in settings.items() if key != "scaled"}
-        for key in HELD:  # which a run's identity names only where a parameter is held
+        for key in HELD:  # the identity of a run contains them only if they are set
             if plain.get(key) is None:
                 plain.pop(key, None)
         scaled = dict(settings.get("scaled") or {})
@@ -353,7 +355,7 @@ def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, 
 
 
 def build_space(node: Mapping[str, Any]) -> Space:
-    """A space from a mapping of parameter names to their settings, which `scaled_by` resolved."""
+    """Build a space from the settings of each parameter, which `scaled_by` resolved."""
     plain = {name: dict(settings) for name, settings in node.items()}
     for name, settings in plain.items():
         if settings.pop("scaled", None):

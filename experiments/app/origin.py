@@ -26,11 +26,11 @@ from miho.study.provenance import command_line
 
 NUMERICAL = {"numpy", "scipy"}
 WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"dfols": "DFO-LS"}
-"""Distributions of the libraries that methods wrap, by the name that they are imported by."""
+"""Distributions of the libraries that methods wrap, by import name."""
 
 
 def packages_of(optimizer: Optimizer) -> dict[str, str]:
-    """Versions of the packages that decide what a run finds: the numerical ones, the method's."""
+    """Versions of NumPy, SciPy and the libraries that the method wraps."""
     names = vars(sys.modules[type(optimizer).__module__]).values()
     tops = {str(getattr(x, "__module__", None) or getattr(x, "__name__", "")) for x in names}
     wrapped = {WRAPPED[name] for top in tops if (name := top.partition(".")[0]) in WRAPPED}
@@ -38,14 +38,14 @@ def packages_of(optimizer: Optimizer) -> dict[str, str]:
 
 
 _version = cache(version)
-"""Looking a version up takes milliseconds."""
+"""Cached, because a lookup takes milliseconds."""
 
 
 def code_of(setting: Mapping[str, Any], problem: CurveFit, optimizer: Optimizer) -> str:
-    """Digest of the code that decides what a run finds, the model's own file included.
+    """Digest of the code that can affect the result of a run, including the file of the model.
 
-    It is that of the parts of this run and of what they import: code that a run does not use may
-    change without making its result one of other code.
+    It covers the modules of this run's parts and the modules that they import. A change of code
+    that the run does not use leaves the digest unchanged.
     """
     parts = (problem, problem.model, problem.rho, optimizer)
     modules = {type(part).__module__ for part in parts} | {"miho.optim.minimize"}
@@ -63,7 +63,7 @@ def code_of(setting: Mapping[str, Any], problem: CurveFit, optimizer: Optimizer)
 
 @cache
 def our_code(modules: frozenset[str]) -> str:
-    """Digest of some modules of ours and of all that they use."""
+    """Digest of some modules of this project and of all modules that they import."""
     return SOURCES.digest(modules)
 
 
@@ -75,11 +75,11 @@ SOURCES = Sources(
 
 
 DRIVING = ("experiments.drive", "experiments.driving.laps")
-"""Whose files decide what a drive comes to, with all that they use but plumbing and figures."""
+"""Modules that, with their imports except plumbing and figures, determine the result of a drive."""
 
 
 def regenerates(module: str, methods: Iterable[Optimizer]) -> dict[str, Any]:
-    """What stands beside the results of a drive: its command, the code and the machine."""
+    """Command, code and machine that are stored with the results of a drive."""
     return {
         "command": command_line(module),
         "code": driving_code(methods),
@@ -88,7 +88,7 @@ def regenerates(module: str, methods: Iterable[Optimizer]) -> dict[str, Any]:
 
 
 def driving_code(methods: Iterable[Optimizer]) -> str:
-    """Digest of the code that decides what a drive comes to, whose car these methods identify."""
+    """Digest of the code that can affect a drive of a car that these methods identified."""
     modules = frozenset({type(method).__module__ for method in methods})
     return DRIVING_SOURCES.digest({*DRIVING, "miho.optim.minimize", *modules})
 

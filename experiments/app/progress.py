@@ -1,4 +1,4 @@
-"""Progress of a run on a terminal, off its clock."""
+"""Progress of a run on a terminal, outside the time that the run measures."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from miho.optim.pace import Pace
 
 REFRESH_SECONDS = 1.0
 COLUMNS, ROWS = 80, 24
-"""Of a terminal that does not tell its own."""
+"""Size of a terminal that does not report one."""
 
 
 class Observer(Protocol):
-    """Called with the oracle about ten times a second."""
+    """A function that is called with the oracle about ten times a second."""
 
     def __call__(self, oracle: Oracle) -> None:
-        """Show where the run stands."""
+        """Show the progress of the run."""
 
 
 def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, float]:
-    """The share of the budget that is spent, by the limit that is nearer, and the seconds left.
+    """Return the used share of the budget, by the nearer limit, and the largest remaining seconds.
 
-    The seconds are the most that are left, at the speed so far; math.inf without a limit or before
-    the first evaluation.
+    The seconds follow from the speed so far; they are math.inf without a limit or if only
+    evaluations are limited and none has ended.
     """
     share, seconds_left = 0.0, math.inf
     if budget.seconds is not None:
@@ -45,9 +45,9 @@ def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, fl
 
 @contextmanager
 def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
-    """A bar that fills with the budget and shows the best error; in a log a line each ten seconds.
+    """Show the used budget and the best error in a bar, or in a log by a line each ten seconds.
 
-    Of a method that makes descents also how many agree: with enough of them some end by themselves.
+    For a method with several descents it also shows how many agree; some methods stop once enough agree.
     """
     limited = budget.evaluations is not None or budget.seconds is not None
     layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"
@@ -82,10 +82,10 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
 
 @contextmanager
 def at_work(title: str) -> Iterator[Callable[[str], None]]:
-    """Give a function to call with the name of each stage, shown with its seconds once a second.
+    """Yield a function to call with the name of each stage, and show the stage and its seconds.
 
-    A thread shows them, so that a stage that takes long is seen to be alive; silent if not on a
-    terminal.
+    A thread refreshes the line once a second, so that a long stage is seen to be alive. Nothing is
+    shown if stderr is not a terminal.
     """
     finished = threading.Event()
     layout = f"{title}: {{desc}}{{elapsed}}"
@@ -111,7 +111,7 @@ def at_work(title: str) -> Iterator[Callable[[str], None]]:
 
 
 def _size() -> tuple[int | None, int | None]:
-    """Columns and rows of the terminal; None where tqdm reads them, which fails at a size of 0."""
+    """Columns and rows for tqdm; None if tqdm can read them, which fails at a size of 0."""
     try:
         has_size = os.get_terminal_size(sys.stderr.fileno()).columns > 0
     except (OSError, ValueError, AttributeError):

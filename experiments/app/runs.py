@@ -1,6 +1,6 @@
-"""Do the runs of a plan that are not done, in this process or in workers; the state of all.
+"""Execute the unfinished runs of a plan, in this process or in workers.
 
-Single runs, sweeps, comparisons and the parts of a car are all done here.
+Single runs, sweeps, comparisons and the identification of a car's parts all run here.
 """
 
 from __future__ import annotations
@@ -33,21 +33,22 @@ from miho.study.files import RESULT
 from miho.study.manifest import first_names, write_manifest
 
 HERE = 0
-"""Processes for runs that are done in this one."""
+"""Number of worker processes if the runs are executed in this process."""
 REPEAT_AFTER, KILL_AFTER = 1.5, 3.5
-"""Seconds after the first signal until it is repeated, because Python loses one that strikes in a
-callback of a library, and until what still runs is killed, so that all is over in five."""
+"""Seconds after the first signal until it is repeated and until running processes are killed. It is
+repeated because Python loses a signal that arrives in a callback of a library. Within five seconds
+all processes have ended."""
 
 
 @dataclass
 class PlanOutcome:
-    """The states of all requests of a plan; `stopped` is the interrupt that ended it early."""
+    """States of all requests of a plan; `stopped` is the interrupt that ended it early."""
 
     states: list[State] = field(default_factory=list)
     stopped: KeyboardInterrupt | None = None
 
     def raise_if_stopped(self) -> None:
-        """Raise the interrupt, to be called after the states are printed."""
+        """Raise the interrupt, if any; called after the states are printed."""
         if self.stopped is not None:
             raise self.stopped
 
@@ -61,17 +62,17 @@ def run(
     overrides: Sequence[str] = (),
     tracking: Mapping[str, Any] = MappingProxyType({}),
 ) -> PlanOutcome:
-    """Do what is not done, `processes` runs at a time (default: by `settings.workers`).
+    """Execute the unfinished runs, `processes` at a time (default: `settings.workers`).
 
-    A run that is asked for twice is done once; one that another process is doing is waited for. A
-    run that raises, exits, is killed or takes too long is lost alone. After the first signal the
-    runs in progress keep what they found and stop, and the states tell how all stand. With `HERE`
-    they are done in this process, one after the other, and a failure of one ends none. Else, if
-    `settings.workers` is the address of a cluster, they are done there; if it is lost, the states
-    tell which runs are to be done again.
+    A run that is requested twice is executed once, and a run that another process executes is
+    waited for. A run that raises, exits, is killed or takes too long does not affect other runs.
+    After the first signal the active runs save their progress and stop, and the returned states
+    describe all runs. With `HERE` the runs are executed in this process, one after the other.
+    Otherwise, if `settings.workers` is the address of a cluster, the runs are executed there; if
+    the cluster is lost, the states say which runs are to do.
 
-    Raises ResumeRefused if finished runs were made of something else. What is finished goes to the
-    tracker of `tracking` at the end, unless a signal ended it.
+    Raises ResumeRefused if stored runs used other code, data or settings. At the end finished runs
+    are sent to the tracker of `tracking`, unless a signal stopped the runs.
     """
     runs = PlanOutcome()
     unique = list({request.identity.id: request for request in plan}.values())
@@ -102,9 +103,9 @@ def run(
 def _refuse_and_list(
     plan: Sequence[Request], overrides: Sequence[str], *, fresh: bool, in_process: bool
 ) -> None:
-    """Refuse, before anything begins, what is stored of other code, data or settings.
+    """Raise ResumeRefused if stored runs used other code, data or settings.
 
-    A sweep is also written down in each of its roots, so that runs that go missing are missed.
+    Write the manifest of a sweep to each of its roots, so that later commands notice lost runs.
     """
     for root in dict.fromkeys(request.root for request in plan):
         identities = {r.words: r.identity for r in plan if r.root == root}
@@ -117,7 +118,7 @@ def _refuse_and_list(
 def _do(
     plan: Sequence[Request], settings: SweepConfig, at_once: int | str, states: list[State]
 ) -> None:
-    """Go through a plan and append the state of each request as soon as it is known."""
+    """Execute a plan and append the state of each request as soon as it is known."""
     in_process = at_once == HERE
     with _bar(len(plan), at_once) as bar:
         todo: list[Request] = []
@@ -130,7 +131,7 @@ def _do(
 
 
 def stored_state(request: Request) -> State:
-    """The state of a request by the store alone: it is done, it was tried in vain, or neither."""
+    """State of a request according to the store: done, failed before or not yet executed."""
     store = Store(Path(request.root))
     result = store.result(request.identity)
     if result is not None:
@@ -143,7 +144,7 @@ def stored_state(request: Request) -> State:
 
 
 def _unknown(plan: Sequence[Request], states: Sequence[State]) -> list[State]:
-    """The states of the runs that were not begun when all ended, from a look at their folders."""
+    """States of the requests that have none yet, from the store."""
     known = {state.request.identity.id for state in states}
     unknown = [request for request in plan if request.identity.id not in known]
     stored = [Store(Path(request.root)).has_result(request.identity) for request in unknown]
@@ -154,9 +155,9 @@ def _unknown(plan: Sequence[Request], states: Sequence[State]) -> list[State]:
 
 
 def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[State]:
-    """The runs that need not be done: stored, or lost before they began; `todo` gets the others.
+    """Yield the states of stored runs and of runs lost before their start; add the rest to `todo`.
 
-    Prints which of the others were stored before and have no result now.
+    Prints which of the rest were stored before and have no result now.
     """
     deleted = []
     for request in plan:
@@ -164,7 +165,7 @@ def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[Sta
         if request.lost is not None:
             yield ended_state(JobOutcome(request, reason=request.lost))
             continue
-        if request.experiment is None:  # what is done in this process looks for itself
+        if request.experiment is None:  # a run in this process checks the store itself
             result = store.result(request.identity)
             if result is not None:
                 line = result_line(request.identity, result, Status.DONE_BEFORE)
@@ -184,7 +185,7 @@ def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[Sta
 
 
 def _run_here(plan: Sequence[Request]) -> Iterator[State]:
-    """The runs as they end, each in this process with a bar of its own."""
+    """Execute the runs in this process, each with a progress bar, and yield their states."""
     for request in plan:
         execution = execution_of(request.experiment or experiment_of(request.setting))
         yield replace(executed_state(request, execution), run=execution.run)
@@ -193,7 +194,7 @@ def _run_here(plan: Sequence[Request]) -> Iterator[State]:
 def _workers(
     plan: Sequence[Request], settings: SweepConfig, at_once: int | str
 ) -> AbstractContextManager[Workers[Request, State] | ClusterRuns]:
-    """Processes of this machine, or the workers of the cluster at an address."""
+    """Worker processes on this machine, or the workers of a cluster."""
     if isinstance(at_once, str):
         return cluster_runs(at_once, settings, own_code=any(map(own_code, plan)))
     return Workers(execute, at_once, settings.time_limit, MODULES, prepare=prepare, alone=own_code)
@@ -202,14 +203,14 @@ def _workers(
 def _run_in_workers(
     plan: Sequence[Request], settings: SweepConfig, at_once: int | str
 ) -> Iterator[State]:
-    """The runs as they end, each in a process of its own."""
+    """Execute each run in a separate process, and yield the states in the order of completion."""
     if not plan:
         return
     todo, elsewhere = deque(plan), deque[Request]()
     with _workers(plan, settings, at_once) as workers, stopping(workers.interrupt) as stop:
         while todo or elsewhere or workers.busy:
-            # Once a signal has come, nothing more is started. It is repeated, and in the end what
-            # has not stopped is killed.
+            # After a signal no run is started. The signal is repeated, and finally runs that have
+            # not stopped are killed.
             if stop.number is not None:
                 todo.clear()
                 elsewhere.clear()
@@ -223,7 +224,7 @@ def _run_in_workers(
                     reason = "did not stop in time"
                     yield ended_state(JobOutcome(job, reason=reason, interrupted=True))
                 break
-            # Idle workers get what is to do; what another process is doing is asked for again.
+            # Idle workers get new runs; a run that another process executes is checked again.
             while todo and workers.idle:
                 workers.start(todo.popleft())
             if elsewhere and workers.idle:
@@ -244,7 +245,7 @@ def _run_in_workers(
 
 @contextmanager
 def _bar(total: int, at_once: int | str) -> Iterator[Progress]:
-    """A bar on a terminal, else a line for each run; runs in this process have their own bars."""
+    """A bar on a terminal, otherwise a line per run; runs in this process show one bar each."""
     if at_once == HERE:
         yield Progress(total, at_once, None)
         return
@@ -254,7 +255,7 @@ def _bar(total: int, at_once: int | str) -> Iterator[Progress]:
 
 @dataclass
 class Progress:
-    """What a sweep has done so far."""
+    """Numbers of finished runs and best errors of a sweep so far."""
 
     total: int
     at_once: int | str
@@ -263,7 +264,7 @@ class Progress:
     best: dict[str, float] = field(default_factory=dict)
 
     def show(self, state: State) -> None:
-        """Count one run and show where the sweep stands."""
+        """Count one run and show the progress of the sweep."""
         if self.bar is None:
             return
         self.counts[state.status] += 1
