@@ -47,7 +47,8 @@ def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, fl
 def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
     """Show the used budget and the best error in a bar, or in a log by a line each ten seconds.
 
-    For a method with several descents it also shows how many agree; some methods stop once enough agree.
+    For a method with several descents it also shows how many agree; some methods stop if enough
+    agree.
     """
     limited = budget.evaluations is not None or budget.seconds is not None
     layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"

@@ -2,9 +2,9 @@
 
 python -m experiments.benchmarks.arrival [--quick] [--output FOLDER]
 
-The methods take turns, seed by seed; figures are medians over seeds. `one look` is
-the loss of one configuration on all rows, which a run cannot do without: it is how an arrival is
-recorded. The last column says how much of `miho_gn` is values of the model.
+The methods alternate, seed by seed; figures are medians over seeds. `one look` is the loss of one
+configuration on all rows: every run needs at least one, because it records that the target is
+reached. The last column is the share of the model's values in the time of `miho_gn`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ROWS = (3000, 30_000, 300_000, 3_000_000)
 SEEDS = {3000: 20, 30_000: 20, 300_000: 10, 3_000_000: 5}
 METHODS = ("miho_gn", "miho_qn", "least_squares")
 RIVALS = 30_000
-"""Rows up to which the others run: beyond, a run that fails takes minutes."""
+"""Largest number of rows for the other methods; with more, a run that fails takes minutes."""
 LOOK = "one look"
 
 
@@ -38,7 +38,7 @@ def measure(quick: bool) -> Measured:
         problem = build_problem(composed(["dataset=tire_lf", f"dataset.n={rows}"]))
         optimum = minimize(MIHOGN(), problem, Budget(evaluations=10_000))
         if optimum.theta is None:
-            raise RuntimeError("the search for the optimum found nothing")
+            raise RuntimeError("the search for the optimum evaluated no valid configuration")
         target = 1.01**2 * optimum.loss
         budget = Budget(evaluations=40_000, target=target)
         at = optimum.theta[None]

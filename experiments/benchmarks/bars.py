@@ -1,4 +1,4 @@
-"""What every benchmark of speed does alike: machine, table, bars with a verdict, files if asked."""
+"""Common parts of the benchmarks of speed: machine, table, bars with a verdict, optional files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AT_MOST, AT_LEAST = "<=", ">="
 
 @dataclass(frozen=True)
 class Bar:
-    """A limit, `relation` to which the measured value must stand."""
+    """A measured value, a limit and the `relation` that must hold between them."""
 
     name: str
     measured: float
@@ -35,7 +35,7 @@ class Bar:
 
     @property
     def met(self) -> bool:
-        """Whether the value keeps to the limit; one that is not a number does not."""
+        """Whether the value keeps to the limit; NaN does not."""
         if self.relation == AT_MOST:
             return self.measured <= self.limit
         return self.measured >= self.limit
@@ -48,14 +48,14 @@ class Bar:
 
 @dataclass(frozen=True)
 class Measured:
-    """The result of a benchmark; `tidy` has a row per measurement, `table` is what people read."""
+    """The result of a benchmark; `tidy` has a row per measurement, `table` is printed."""
 
     table: pd.DataFrame
     tidy: pd.DataFrame
     bars: Sequence[Bar]
     notes: Sequence[str] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """What else it was measured with, such as seeds and settings."""
+    """Other facts about the measurement: seeds, settings."""
 
 
 def benchmark(
@@ -67,8 +67,8 @@ def benchmark(
 ) -> None:
     """Measure on one pinned thread, print, and exit with 1 if a bar is missed.
 
-    `measure` gets whether to be `quick`, and whether each of the `flags` is set, which have a line
-    of help each. Nothing is written unless `--output FOLDER` is given.
+    `measure` is called with `quick` and with a value for each of the `flags`, a mapping of names to
+    help texts. Files are written only with `--output FOLDER`.
     """
     parser = argparse.ArgumentParser(description=(doc or "").strip().splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="smaller sizes and fewer repeats")
@@ -103,7 +103,7 @@ def benchmark(
 
 
 def shown(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
-    """The rows of a benchmark that takes minutes, each shown on stderr as it comes."""
+    """Yield the rows of a benchmark that takes minutes, and print each to stderr."""
     for row in rows:
         line = ", ".join(f"{key} {value}" for key, value in row.items() if value == value)
         print(line, file=sys.stderr, flush=True)
@@ -111,7 +111,7 @@ def shown(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
 
 
 def _write(path: Path, name: str, measured: Measured) -> None:
-    """Numbers and bars, and what they were measured with."""
+    """Write the numbers, the bars and the conditions of the measurement."""
     about = {
         "command": command_line(f"experiments.benchmarks.{name}"),
         **measured.facts,
@@ -124,7 +124,7 @@ def _write(path: Path, name: str, measured: Measured) -> None:
         "rows": [],
     }
     rows = json.loads(measured.tidy.to_json(orient="records", double_precision=15))
-    lines = ",\n".join(f"  {json.dumps(row)}" for row in rows)  # a line each
+    lines = ",\n".join(f"  {json.dumps(row)}" for row in rows)  # one line per row
     text = json.dumps(about, indent=1).removesuffix("[]\n}")
     write_text(path, f"{text}[\n{lines}\n ]\n}}\n")
 
@@ -142,10 +142,10 @@ def machine() -> str:
 def turns(
     jobs: Mapping[str, Callable[[], object]], repeats: int, atom: float = 0.01
 ) -> dict[str, list[float]]:
-    """Seconds of one call of each job, once for each of the turns that they take.
+    """Seconds of one call of each job in each turn; the jobs alternate.
 
-    A measurement is as many calls as `atom` seconds hold, so that the clock's own cost is lost in
-    it; jobs slower than that are called once a turn.
+    A measurement repeats the call for `atom` seconds, so that the cost of the clock is negligible;
+    slower jobs are called once per turn.
     """
     calls: dict[str, int] = {}
     for name, job in jobs.items():
@@ -166,5 +166,5 @@ def turns(
 def interleaved(
     jobs: Mapping[str, Callable[[], object]], repeats: int, atom: float = 0.01
 ) -> dict[str, float]:
-    """Smallest seconds of one call of each job, taken in turns."""
+    """Smallest seconds of one call of each job; the jobs alternate."""
     return {name: min(seconds) for name, seconds in turns(jobs, repeats, atom).items()}

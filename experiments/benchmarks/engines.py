@@ -1,4 +1,4 @@
-"""The workers that benchmarks use: processes or Dask on this machine, started before any clock."""
+"""Workers for benchmarks: processes or Dask on this machine, started before the measurement."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from miho.parallel.process_executor import ProcessExecutor
 
 PROCESSES, DASK = "processes", "Dask"
 PATIENCE = 300.0
-"""Seconds in which all workers have to start."""
+"""Largest seconds until all workers have started."""
 NAP = 0.1
 
 
 def engines() -> list[str]:
-    """Processes, and Dask if its libraries are installed."""
+    """Names of the engines: processes, and Dask if its libraries are installed."""
     installed = find_spec("distributed") and find_spec("miho.parallel.cluster")
     return [PROCESSES, *([DASK] if installed else [])]
 
 
 @contextmanager
 def started(engine: str, size: int) -> Iterator[tuple[Pool, float]]:
-    """A pool of so many workers, all of which are there, and the seconds that their start took.
+    """Yield a pool whose `size` workers have all started, and the seconds of their start.
 
-    Raises RuntimeError if they do not come.
+    Raises RuntimeError if the workers do not start.
     """
     with ExitStack() as stack:
         began = time.perf_counter()
@@ -45,16 +45,16 @@ def started(engine: str, size: int) -> Iterator[tuple[Pool, float]]:
 
 
 def _start_all(pool: Pool) -> None:
-    """Wait until each worker of a pool has done something."""
+    """Wait until each worker of a pool has finished a task."""
     began, nap, seen = time.perf_counter(), NAP, set[int]()
     while len(seen) < pool.size:
         if time.perf_counter() - began > PATIENCE:
             raise RuntimeError(f"{len(seen)} of {pool.size} workers started in {PATIENCE:g} s")
         seen |= set(pool.map(_nap, [nap] * pool.size))
-        nap = min(2 * nap, 1.0)  # long enough that none does two while another starts
+        nap = min(2 * nap, 1.0)  # long enough that no worker gets two while another starts
 
 
 def _nap(seconds: float) -> int:
-    importlib.import_module("experiments.benchmarks.sleeping")  # what its evaluations will need
+    importlib.import_module("experiments.benchmarks.sleeping")  # the evaluations need it
     time.sleep(seconds)
     return os.getpid()

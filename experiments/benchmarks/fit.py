@@ -1,10 +1,10 @@
-"""A fit from a script: `miho.fit` beside SciPy's curve_fit, and lmfit, if installed.
+"""A fit from a script: `miho.fit` compared with SciPy's curve_fit, and lmfit if installed.
 
 python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 
-`miho.fit` searches a wide box without a start; `miho.fit, start` and the others descend from 20 %
-from the optimum. They take turns. First fits run in a process of their own; their seconds are CPU
-time after `import miho`.
+`miho.fit` searches a wide box without a start; `miho.fit, start` and the others descend from a
+point 20 % from the optimum. They alternate. First fits run in a separate process; their seconds are
+CPU time after `import miho`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def first_fits() -> dict[str, float]:
 
 
 def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
-    """The fits that take turns."""
+    """The fits to compare, by name."""
     optimize = importlib.import_module("scipy.optimize")
     jobs: dict[str, Callable[[], object]] = {
         "curve_fit": partial(optimize.curve_fit, bump, x, y, list(NEAR.values())),

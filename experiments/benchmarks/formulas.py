@@ -1,12 +1,12 @@
-"""What a row of a formula costs, value and all derivatives: the machine and NumPy.
+"""Cost of a row of a formula, value and all derivatives, on the machine and in NumPy.
 
 python -m experiments.benchmarks.formulas [--quick] [--output FOLDER]
 
 The tire with and without curvature, the 27 coefficients of MF 6.1's lateral force, a power with a
 choice, and the published formulas, at 3,000 rows (and the first ones at 300 and 30,000). The
 machine runs on each level of instructions that the processor has; NumPy evaluates the formula as
-written, once for values and once for derivatives. "ready" is what a new formula costs before its
-first evaluation: tracing value and derivatives, and making both tapes.
+written, once for values and once for derivatives. "ready" is the cost of a new formula before its
+first evaluation: tracing of value and derivatives, and compilation of both tapes.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ ROWS, MORE_ROWS = 3000, (300, 30_000)
 REPEATS = 7
 MAGIC, PUBLISHED = "MF 6.1 lateral", "published"
 NEW_FORMULA, NEW_MAGIC_FORMULA = 10, 30
-"""Milliseconds that a new formula may take."""
+"""Largest milliseconds for a new formula."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A formula, a range of its inputs and one of its parameters."""
+    """A formula with a range of its inputs and a range of its parameters."""
 
     name: str
     model: Expression
@@ -69,12 +69,12 @@ class Case:
 
 
 def power_with_choice(x: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """A power up to a knee, a line behind it."""
+    """A power up to a knee, then a line."""
     return np.where(x < c, a * x**b, a * c**b + d * (x - c))
 
 
 def cases() -> Iterator[Case]:
-    """All formulas, those first that are measured at more sizes."""
+    """All formulas; the formulas measured at several sizes come first."""
     tire = (2.0, 20.0), (1.0, 2.0), (2e3, 5e3), (-0.02, 0.02), (-100.0, 100.0)
     yield Case("tire", Pacejka(), ((-0.25, 0.25),), tire)
     bent = (*tire[:3], (-2.0, 0.5), *tire[3:])
@@ -95,14 +95,14 @@ def cases() -> Iterator[Case]:
 
 
 def both(call: Callable[[Any, Array, Array, Array], None], tapes: Any, *arrays: Array) -> None:
-    """Value and derivatives by the machine."""
+    """Evaluate value and derivatives on the machine."""
     theta, X, value, slopes = arrays
     call(tapes[0], theta, X, value)
     call(tapes[1], theta, X, slopes)
 
 
 def by_numpy(model: Expression, theta: Array, X: Array) -> None:
-    """Value and derivatives as written."""
+    """Evaluate value and derivatives in NumPy as written."""
     model.predict(theta[None], *X)
     model.jacobian(theta, *X)
 

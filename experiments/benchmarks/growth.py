@@ -2,9 +2,9 @@
 
 python -m experiments.benchmarks.growth [--quick] [--output FOLDER]
 
-The evaluations are mutants of a good configuration of the left front tire with the sigma of a
-rung, from its largest to its smallest: what MIHO evaluates. `whole` goes through all rows;
-`stopped` gives a mutant up when it cannot be better than that configuration.
+As in MIHO, the evaluations are mutants of a good configuration of the left front tire, with the
+sigmas of a rung from the largest to the smallest. `whole` evaluates all rows; `stopped` abandons a
+mutant when it can no longer be better than that configuration.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def of_size(rows: int) -> CurveFit:
 
 
 def stopped(problem: CurveFit, mutants: Array, loss: float) -> None:
-    """Compare every mutant with the same loss, and give it up early."""
+    """Evaluate every mutant until it is known to exceed the same loss."""
     climb = None if problem.kernel is None else problem.kernel.climb
     if climb is None:
         raise RuntimeError("the problem has no compiled steps")
@@ -50,12 +50,12 @@ def stopped(problem: CurveFit, mutants: Array, loss: float) -> None:
 
 
 def measure(quick: bool) -> Measured:
-    """Microseconds per evaluation, the least of several batches in turns."""
+    """Measure microseconds per evaluation, the least of several alternating batches."""
     register()
     tidy = []
     theta = minimize(MIHO(R=1000, eta=5), of_size(ROWS[0])).theta
     if theta is None:
-        raise RuntimeError("the run found nothing")
+        raise RuntimeError("the run evaluated no valid configuration")
     # The mutants that MIHO would evaluate around a good configuration, on each number of rows.
     for rows in ROWS[:-1] if quick else ROWS:
         fit = of_size(rows)
@@ -69,7 +69,7 @@ def measure(quick: bool) -> Measured:
         }
         seconds = interleaved(jobs, 3 if rows > 1_000_000 else 10)
         tidy += [{"rows": rows, "method": k, "us": 1e6 * s / n} for k, s in seconds.items()]
-    # The table that people read, and the bar on the growth of the whole loss.
+    # The printed table, and the bar on the growth of the whole loss.
     frame = pd.DataFrame(tidy)
     table = frame.pivot(index="rows", columns="method", values="us")[list(jobs)]
     table.columns = pd.Index([f"{name} [us]" for name in table.columns])

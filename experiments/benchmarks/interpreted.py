@@ -1,12 +1,12 @@
-"""What an evaluation costs each method of the paper's comparison: interpreted, and as built here.
+"""Cost of an evaluation in each method of the paper's comparison, interpreted and as built here.
 
 python -m experiments.benchmarks.interpreted [--quick] [--output FOLDER]
 
 Interpreted: MIHO's mutations (Eq. 2), the particles of a swarm and the steps of gradient descent,
 one at a time in a loop of Python, each loss of 3000 rows by NumPy. A step of descent counts as six
 evaluations, as everywhere in this project. Compiled: the methods themselves, on the loss of all
-rows. A figure is the least of several turns, in which methods alternate, because other work on the
-machine makes single turns longer.
+rows. A figure is the least of several turns in which the methods alternate, because other work on
+the machine makes single turns longer.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from miho.quantities import Array
 
 TURNS, QUICK_TURNS = 15, 2
 INTERPRETED, COMPILED = 1_200, 30_000
-"""Evaluations of a turn."""
+"""Evaluations per turn."""
 SWARMS = {"pso_100": 100, "pso_500": 500}
 METHODS = ("miho", "gbo_small", "gbo_large", *SWARMS)
 
@@ -43,7 +43,7 @@ def loss(theta: Array, alpha: Array, force: Array) -> float:
 
 
 def mutations(problem: CurveFit, evaluations: int) -> float:
-    """Mutate one configuration again and again; the least loss."""
+    """Mutate one configuration repeatedly and return the least loss."""
     alpha, force, space, rng = *_data(problem), problem.space, stream("interpreted")
     sigma, p = space.sigma[0], space.initial(1)[0]
     best = loss(p, alpha, force)
@@ -56,7 +56,7 @@ def mutations(problem: CurveFit, evaluations: int) -> float:
 
 
 def swarm(problem: CurveFit, evaluations: int, particles: int) -> float:
-    """Move the particles of a swarm one after the other; the least loss."""
+    """Move the particles of a swarm one after the other and return the least loss."""
     alpha, force, space, rng = *_data(problem), problem.space, stream("interpreted")
     x, limit = space.initial(particles), 0.5 * (space.high - space.low)
     v, best, leader = np.zeros_like(x), x.copy(), 0
@@ -119,7 +119,7 @@ def interpreted(name: str, experiment: Experiment) -> float:
 
 
 def compiled(experiment: Experiment) -> float:
-    """Seconds of the processor per evaluation of the method itself; MIHO makes its schedule."""
+    """Seconds of the processor per evaluation of the method; MIHO runs its whole schedule."""
     whole = isinstance(experiment.optimizer, MIHO)
     budget = Budget(evaluations=None if whole else COMPILED)
     record = minimize(experiment.optimizer, experiment.problem, budget)

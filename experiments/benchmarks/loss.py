@@ -1,4 +1,4 @@
-"""What one point of the tire's loss costs: on the machine of formulas and in NumPy.
+"""Cost of one point of the tire's loss, on the machine of formulas and in NumPy.
 
 python -m experiments.benchmarks.loss [--quick] [--output FOLDER]
 """
@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 ROWS = (100, 300, 3000, 30_000, 3_000_000)
 BATCHES = (1, 10, 100, 1000, 10_000)
 MOST_POINTS = 3e7
-"""Points of one call; beyond, NumPy takes seconds."""
+"""Largest number of points of one call; with more, NumPy takes seconds."""
 JUDGED = 3000, 1000
-"""Rows and batch at which the bars are judged."""
+"""Rows and batch of the bars."""
 WRITTEN_WITH = 15.5
 """ns per point of NumPy when the bars were written."""
 METHODS = "one thread", "two threads", "NumPy"
@@ -66,7 +66,7 @@ def numpy_loss(thetas: Array, x: Array, y: Array, scratch: Array) -> Array:
 
 
 def measure(quick: bool) -> Measured:
-    """All sizes and batches that NumPy can do in about a second."""
+    """Measure all sizes and batches that NumPy evaluates in about a second."""
     rng = np.random.default_rng(0)
     scratch = np.empty(TEMPORARY)
     tidy, table = [], []
@@ -91,7 +91,7 @@ def measure(quick: bool) -> Measured:
                 "NumPy": partial(numpy_loss, thetas, x, y, scratch),
             }
             np.testing.assert_allclose(jobs["one thread"](), jobs["NumPy"](), rtol=1e-12)
-            # In turns, so that a change of the clock strikes all alike.
+            # The forms alternate, so that a change of the processor's clock affects all of them.
             heavy = rows * batch > MOST_POINTS / 30
             repeats = 2 if heavy else 5 if quick else 15
             if (rows, batch) == JUDGED:
@@ -115,8 +115,8 @@ def measure(quick: bool) -> Measured:
     alone, plain, two_to_one, faster = judged
     at = f"{JUDGED[0]} rows, batch {JUDGED[1]}"
     notes = [
-        "times are ns per point, the least of several calls in turns; ratios are of their medians, "
-        f"because the least is the luck of one core, or of two at once; bars at {at}",
+        "times are ns per point, the least of several alternating calls; ratios are of medians, "
+        f"because ratios of least times vary by chance; bars at {at}",
         f"NumPy took {plain:.1f} ns here and {WRITTEN_WITH} when the bars were written: at that "
         f"speed one thread would take {alone * WRITTEN_WITH / plain:.2f} ns",
     ]

@@ -1,12 +1,12 @@
-"""Thousands of small fits: `miho.fit_many` beside a loop of curve_fit, and lmfit, if installed.
+"""Thousands of small fits: `miho.fit_many`, a loop of curve_fit, and lmfit if installed.
 
 python -m experiments.benchmarks.many_fits [--quick] [--output FOLDER]
 
-A decay to a level: 50 rows, three parameters. Fits from a start descend from 20 % from the truth,
-those without one search the box. All take turns in one run on one thread. A rate is that of the
-fastest turn, which is one call for all datasets; of the rivals it is a loop over LOOPED of them.
-On a busy machine the rate of CPU seconds says more.
-NumPy's `fit_many` is that of a function that cannot be traced, one call.
+A decay to a level: 50 rows, three parameters. Fits from a start descend from a point 20 % from the
+truth; fits without a start search the box. All alternate in one run on one thread. A rate is the
+rate of the fastest turn: one call of `fit_many` for all datasets, or a loop of a rival over LOOPED
+datasets. On a busy machine the rate per CPU second is more reliable.
+NumPy's `fit_many` is one call with a function that cannot be traced.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from miho.quantities import Array
 DATASETS, ROWS, LOOPED = 10_000, 50, 300
 BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
 SAME = 1e-6
-"""Of the sum of squares: a fit whose sum is no larger than another's by more is as good."""
+"""A fit is as good as another if its error is larger by at most this fraction."""
 
 
 def decay(x: Array, a: float, b: float, c: float) -> Array:
@@ -37,12 +37,12 @@ def decay(x: Array, a: float, b: float, c: float) -> Array:
 
 
 def opaque(x: Array, a: float, b: float, c: float) -> Array:
-    """The same in a form that is no formula."""
+    """The same decay in a form that cannot be traced as a formula."""
     return decay(np.asarray(x), a, b, c)
 
 
 def measure(quick: bool) -> Measured:
-    """Fits a second, and how many of a sample are as good as SciPy's from the truth."""
+    """Measure fits per second, and the share of a sample as good as SciPy's fits from the truth."""
     rng = np.random.default_rng(0)
     count = DATASETS // (10 if quick else 1)
     t = np.linspace(0, 3, ROWS)
@@ -89,14 +89,14 @@ def measure(quick: bool) -> Measured:
 
 
 def _timed(job: Callable[[], object], spent: list[float]) -> None:
-    """Do it, and note its CPU seconds."""
+    """Do the job and append its CPU seconds to `spent`."""
     started = time.process_time()
     job()
     spent.append(time.process_time() - started)
 
 
 def looped(fit: Callable[[Array, Array, Array], object], t: Array, y: Array, near: Array) -> None:
-    """The fits of the first LOOPED datasets."""
+    """Fit the first LOOPED datasets one after the other."""
     for values, start in zip(y[:LOOPED], near[:LOOPED], strict=True):
         fit(t, values, start)
 
@@ -106,7 +106,7 @@ def _curve_fit(t: Array, y: Array, start: Array) -> object:
 
 
 def _as_good(table: pd.DataFrame, t: Array, y: Array, truth: Array) -> list[bool]:
-    """Of the first datasets, whether SciPy finds no better fit from the truth."""
+    """Whether SciPy finds no better fit from the truth, for each of the first datasets."""
     good = []
     for k in range(LOOPED):
         theta, _ = curve_fit(decay, t, y[k], truth[k], xtol=1e-12, ftol=1e-12)

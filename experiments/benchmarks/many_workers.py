@@ -1,13 +1,13 @@
-"""How a search gains by workers, from 1 to 10,000, by simulation; checked against real ones.
+"""Speedup of a search by 1 to 10,000 simulated workers, checked against real workers.
 
 python -m experiments.benchmarks.many_workers [--check] [--quick] [--output FOLDER]
 
-The methods are the real ones, with all their decisions; workers and their time are virtual
-(`experiments.benchmarks.virtual_workers`). What a task costs the client is measured first. Seconds
-are those until the loss is within 1 % of the optimum, with evaluations of 1 s on average: of equal
-length, spread log-normally, or as the lengths of a simulation are measured to be
-(`experiments.benchmarks.simulation_times`). `--check` has real workers sleep as well, 1 to 64 of
-them, in smaller searches to their own end, and compares their seconds with those of virtual ones.
+The methods are real and make all their decisions; workers and their time are virtual
+(`experiments.benchmarks.virtual_workers`). The client's cost of a task is measured first. Seconds
+count until the loss is within 1 % of the optimum. Evaluations take 1 s on average: equal times,
+times spread log-normally, or the measured times of a simulation
+(`experiments.benchmarks.simulation_times`). With `--check` 1 to 64 real workers sleep as well, in
+smaller searches that end by themselves; their seconds are compared with the virtual seconds.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from miho.quantities import Array
 
 METHODS = forms("MIHO", MIHO, R=1000, eta=10) | forms("MIHO-GN", MIHOGN)
 SMALL = forms("MIHO", MIHO, R=27, eta=3) | forms("MIHO-GN", MIHOGN, brackets=3)
-"""Searches that sleeping workers end within half a minute."""
+"""Searches that sleeping workers finish within half a minute."""
 SIZES = (1, 3, 10, 32, 100, 316, 1000, 3162, 10_000)
 REAL_SIZES = (1, 2, 4, 8, 16, 32, 64)
 SECONDS, REAL_SECONDS = 1.0, 0.05
@@ -41,7 +41,7 @@ SEEDS = 15
 WITHIN = 1.01
 TASKS = 1000
 NEAR = 0.15
-"""Simulated and real seconds differ by no more than this share, as a median."""
+"""Largest median of the relative differences between simulated and real seconds."""
 
 
 class Job(NamedTuple):
@@ -56,7 +56,7 @@ class Job(NamedTuple):
 
 
 def measured_overhead() -> float:
-    """Seconds of the client for a task: evaluations of nothing, all of which are sent."""
+    """Seconds of the client per task, measured with empty evaluations that are all sent."""
     with started(PROCESSES, 2) as (pool, _):
         evaluations = Evaluations(pool, limited=True)
         ended = search(
@@ -72,7 +72,7 @@ def optimum() -> float:
 
 
 def simulated(job: Job, lengths: Lengths) -> dict[str, Any]:
-    """A row: virtual seconds until the target, NaN if it was not reached."""
+    """Row with the virtual seconds until the target, NaN if it was not reached."""
     budget = Budget(target=job.target)
     ended = virtual_search(METHODS[job.name], lengths, job.workers, job.overhead, budget, job.seed)
     return {
@@ -94,13 +94,13 @@ def growth(
     sizes, seeds = (SIZES[:5:2], 2) if quick else (SIZES, SEEDS)
     jobs = [
         Job(name, size, spread, seed, overhead, target)
-        for size in reversed(sizes)  # the longest first
+        for size in reversed(sizes)  # the longest jobs first
         for spread in spreads
         for name in METHODS
         for seed in range(seeds)
     ]
     with started(PROCESSES, os.cpu_count() or 1) as (pool, _):
-        # by their positions: only the function may be of the program's main file
+        # the jobs as indices: only the function may come from the main module
         rows = pool.map(lambda k: simulated(jobs[k], spreads[jobs[k].spread]), range(len(jobs)))
         return list(shown(rows))
 
@@ -129,7 +129,7 @@ def checked(
 
 
 def measure(quick: bool, check: bool) -> Measured:
-    """The medians over seeds as a table, and how near real workers are."""
+    """Measure medians over seeds, and the difference from real workers."""
     times = simulation_times()
     spreads = {
         "equal": Lengths(SECONDS),
@@ -170,7 +170,7 @@ def measure(quick: bool, check: bool) -> Measured:
 
 
 def _quantiles(times: Array) -> str:
-    """How much a time differs from another one, in words."""
+    """Quantiles of the times relative to their mean, in words."""
     shares = np.quantile(times, [0.05, 0.5, 0.95]) / times.mean()
     return "of which 5, 50 and 95 % take at most {:.2f}, {:.2f} and {:.2f}".format(*shares)
 

@@ -1,4 +1,4 @@
-"""MIHO as the authors' code does it, at their size, beside the cost of the loss alone.
+"""MIHO as in the authors' code, at their size, compared with the cost of the loss alone.
 
 python -m experiments.benchmarks.miho_reference
 
