@@ -14,7 +14,7 @@ from miho.parallel.process_executor import ProcessExecutor
 
 PROCESSES, DASK = "processes", "Dask"
 PATIENCE = 300.0
-"""Largest seconds until all workers have started."""
+"""Time limit [s] for the start of all workers."""
 NAP = 0.1
 
 

@@ -44,7 +44,7 @@ ROWS, MORE_ROWS = 3000, (300, 30_000)
 REPEATS = 7
 MAGIC, PUBLISHED = "MF 6.1 lateral", "published"
 NEW_FORMULA, NEW_MAGIC_FORMULA = 10, 30
-"""Largest milliseconds for a new formula."""
+"""Largest time [ms] for a new formula."""
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
-"""A whole MIHO run on the left front tire: a plain loop, and every step away from it.
+"""A whole MIHO run on the left front tire: a plain loop and all forms up to the fastest.
 
 python -m experiments.benchmarks.miho_run [--quick] [--output FOLDER]
 
-R = 10^4, eta = 5, 3000 rows (with --quick R = 10^3). The plain loop is written the way the
-authors' code is: Python loops over the configurations, one NumPy call of the model for each
-mutation, NumPy's own sine and arctangent. It draws the same noise, so that all rows of the table
-are one and the same search and their final errors can be compared. It runs rung by rung; the fast
-runs are repeated between its rungs, so that a machine whose speed changes slows all alike.
+R = 10^4, eta = 5, 3000 rows (with --quick R = 10^3). The plain loop is written like the authors'
+code: Python loops over the configurations, one NumPy call of the model for each mutation, the sine
+and arctangent of NumPy. It draws the same noise, so that all rows of the table are the same search
+and their final errors can be compared. It runs rung by rung; the fast runs are repeated between its
+rungs, so that a change of the machine's speed affects all forms.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from miho.optim.seeds import stream
 Array = NDArray[np.float64]
 
 ROUNDS = 5
-"""How often the fast runs are made."""
+"""Number of runs of each fast form."""
 PLAIN, GENERAL, LOSS = "plain loop", "MIHO, NumPy loss", "MIHO, loss of the machine"
 STEPS, STOPPED = "steps of the machine", "and early stopping"
 STOPPED_2 = "early stopping, two threads"
@@ -55,12 +55,12 @@ class NumPyPacejka(Model):
         return Pacejka().predict(thetas, *inputs)
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Its derivatives (N, 5)."""
+        """Derivatives (N, 5) of the lateral force."""
         return Pacejka().jacobian(theta, *inputs)
 
 
 class LossAlone(Problem):
-    """A problem whose loss alone is the machine's."""
+    """A problem whose loss, but nothing else, is computed by the machine."""
 
     def __init__(self, inner: Problem) -> None:
         self.inner, self.name, self.space = inner, inner.name, inner.space
@@ -72,7 +72,7 @@ class LossAlone(Problem):
 
 @dataclass
 class Incumbent:
-    """Evaluations of the plain loop so far, and the best of them."""
+    """Number of evaluations of the plain loop so far, and the best configuration."""
 
     evaluations: int = 0
     loss: float = np.inf
@@ -82,7 +82,7 @@ class Incumbent:
 def plain_loop(
     alpha: Array, force: Array, space: Space, rng: np.random.Generator, R: int, eta: int
 ) -> Iterator[Incumbent]:
-    """Alg. 1 in Python loops; its best so far, after each rung."""
+    """Run Alg. 1 in Python loops, and yield the best configuration so far after each rung."""
     low, high = space.bounds
     sigma_max, sigma_min = space.sigma
     result = Incumbent()
@@ -123,7 +123,7 @@ def problems() -> tuple[CurveFit, CurveFit]:
 
 @dataclass
 class Race:
-    """The plain loop's time so far and the runs of the other forms, made between its rungs."""
+    """Time of the plain loop so far, and the runs of the other forms between its rungs."""
 
     forms: Mapping[str, tuple[MIHO, Problem]]
     loop: Iterator[Incumbent]
@@ -134,7 +134,7 @@ class Race:
     cpu_seconds: float = 0.0
 
     def run(self, seed: int) -> None:
-        """Run all: the fast forms ROUNDS times over the length of the loop, the others once."""
+        """Run all forms: the fast forms ROUNDS times during the loop, the others once."""
         pauses = sorted(set(np.linspace(0, self.rungs, ROUNDS, dtype=int).tolist()))
         slow = dict(zip(pauses[1:], (GENERAL, LOSS, STEPS), strict=False))
         for rung in range(self.rungs + 1):
@@ -152,7 +152,7 @@ class Race:
             raise RuntimeError(f"the runs are not the same search: {counts} evaluations")
 
     def table(self, error: Callable[[Array], float]) -> pd.DataFrame:
-        """A row for each form: medians of seconds, and `error` of the best of its first run."""
+        """Table with a row per form: median seconds, and `error` of the best of the first run."""
         rows: list[tuple[Any, ...]] = [
             (PLAIN, self.seconds, self.cpu_seconds, 0.0, self.best.theta)
         ]
@@ -170,11 +170,11 @@ class Race:
 
 
 def measure(quick: bool) -> Measured:
-    """One plain run and one of each slower form, several of the fast ones between its rungs."""
+    """Measure one plain run, one run of each slower form, and several runs of each fast form."""
     R, eta, seed = 1000 if quick else 10_000, 5, 0
     fit, plain = problems()
     stopping, whole = MIHO(R=R, eta=eta), MIHO(R=R, eta=eta, early_stopping=False)
-    # The forms, from the general one on; all make the same search with the same draws.
+    # The forms from general to fast; all make the same search with the same random numbers.
     forms: dict[str, tuple[MIHO, Problem]] = {
         GENERAL: (whole, plain),
         LOSS: (whole, LossAlone(fit)),
@@ -188,7 +188,7 @@ def measure(quick: bool) -> Measured:
     race = Race(forms, loop, len(hyperband_table(R, eta)))
     race.run(seed)
     tidy = race.table(lambda theta: float(plain.loss(theta[None])[0]))
-    # Each against the plain loop: final losses, seconds, and seconds of the processor.
+    # Compare each form with the plain loop: final loss, seconds, seconds of the processor.
     apart = float(np.abs(tidy["difference"]).max())
     speedup = tidy.set_index("form")["speedup"]
     busy = race.cpu_seconds / tidy.set_index("form")["cpu_seconds"]
@@ -199,11 +199,11 @@ def measure(quick: bool) -> Measured:
         Bar("final loss on the full data, largest difference", apart, AT_MOST, 1e-9, "relative"),
     ]
     notes = [
-        f"R = {R}, eta = {eta}, {len(fit.dataset)} rows; the method's own seconds, median of "
+        f"R = {R}, eta = {eta}, {len(fit.dataset)} rows; seconds of the method alone, median of "
         f"{ROUNDS} runs of the fast forms ({'; '.join(spread)}), one run of the others",
-        f"by processor time, which others on the machine take none of: {STOPPED} "
+        f"by processor time, which excludes other programs on the machine: {STOPPED} "
         f"{busy[STOPPED]:.1f} times",
-        "setup_seconds: what is traced before the first run",
+        "setup_seconds: seconds of the tracing before the first run",
         "difference: final loss against the plain loop's, both by NumPy over all rows",
     ]
     return Measured(tidy, tidy, bars, notes)

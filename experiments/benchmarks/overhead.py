@@ -1,15 +1,15 @@
-"""What methods and the recorder cost besides the loss.
+"""Cost of methods and of the recorder without the cost of the loss.
 
 python -m experiments.benchmarks.overhead [--quick] [--output FOLDER]
 
-Each method of conf/optimizer searches a loss that costs almost nothing, whose own time is measured
-and taken away, for two seconds of its clock. Its microseconds are per evaluation as it is charged:
-of hyperband, successive halving and DEHB, which evaluate on fractions of the data, per equivalent
-of a full one, of which each holds several calls. The recorder is `Oracle` against calling that loss
-directly. Its share of a MIHO run on the left front tire is what its calls cost, counted in that run
-and timed alone: per block of compiled steps, per batch, per improvement. Its bar per evaluation is
-for batches of 10 and more in which no row improves; single rows and improvements cost more, stand
-in the table and count in the share of the run.
+Each method of conf/optimizer minimizes a cheap loss, whose time is measured and subtracted, for two
+seconds of the method's clock. The microseconds are per evaluation in the units of the budget.
+Hyperband, successive halving and DEHB evaluate on fractions of the data: several of their calls
+count as one full evaluation. The cost of the recorder is the difference between calls of `Oracle`
+and direct calls of the loss. Its share of a MIHO run on the left front tire is computed from the
+number of calls in that run and their cost alone: per block of compiled steps, per batch and per
+improvement. The bar per evaluation is for batches of 10 and more in which no row improves; single
+rows and improvements cost more, are listed in the table and count in the share of the run.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ CAP = 2.0
 
 
 class Bowl(LeastSquaresProblem):
-    """A parabola over the box, which counts the seconds that it takes itself."""
+    """A parabola over the box that measures the seconds of its evaluations."""
 
     name = "bowl"
     linear = ("D", "Sy")
@@ -80,7 +80,7 @@ class CompiledSteps(NamedTuple):
 
 
 class Counted(Problem):
-    """A problem that counts the batches and the compiled blocks of a run."""
+    """A problem that counts the batches and the blocks of compiled steps of a run."""
 
     def __init__(self, inner: Problem) -> None:
         self.inner, self.name, self.space = inner, inner.name, inner.space
@@ -105,7 +105,7 @@ class Counted(Problem):
 
 
 class Prepared(Problem):
-    """A problem whose losses are computed before, so that they cost nothing."""
+    """A problem whose losses are computed in advance, so that they cost nothing."""
 
     name = "prepared"
 
@@ -113,16 +113,16 @@ class Prepared(Problem):
         self.space, self.losses = space, losses
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """The first n of the losses that were given."""
+        """The first n of the given losses."""
         return self.losses[: len(thetas)]
 
 
 SETTINGS = {"ngopt": ["optimizer.plan=1000"]}
-"""Settings that a method needs where seconds alone end its run."""
+"""Settings that a method needs if only the seconds are limited."""
 
 
 def methods(space: Space, cap: float) -> list[dict[str, object]]:
-    """Own microseconds per evaluation of every method of conf/optimizer, 5 parameters."""
+    """Microseconds per evaluation of each method of conf/optimizer without the loss."""
     rows: list[dict[str, object]] = []
     for path in sorted((CONF / "optimizer").glob("*.yaml")):
         overrides = [f"optimizer={path.stem}", *SETTINGS.get(path.stem, ())]
@@ -147,7 +147,7 @@ def methods(space: Space, cap: float) -> list[dict[str, object]]:
 
 
 def recorder(space: Space, repeats: int) -> dict[tuple[str, int], float]:
-    """Seconds of the oracle's own per batch: of losses that never improve, and that all do."""
+    """Seconds of the oracle per batch without the loss: none of the losses improve, or all do."""
     cost = {}
     for batch in BATCHES:
         thetas = space.decode(space.initial(batch))
@@ -173,7 +173,7 @@ def recorder(space: Space, repeats: int) -> dict[tuple[str, int], float]:
 
 
 def block_seconds(space: Space, repeats: int) -> float:
-    """Seconds of the oracle's own per block of compiled steps without improvements."""
+    """Seconds of the oracle per block of compiled steps without improvements."""
     none = np.empty(0)
     report = Block(1, none, none, none.reshape(0, len(space)), {"loss is nan": 0, "loss is inf": 0})
     oracle = Oracle(Prepared(space, np.ones(1)), Budget())
@@ -186,7 +186,7 @@ def block_seconds(space: Space, repeats: int) -> float:
 
 
 def measure(quick: bool) -> Measured:
-    """Methods, the recorder alone, and its share of a run."""
+    """Measure the methods, the recorder alone, and its share of a run."""
     register()
     repeats = 5 if quick else 20
     experiment = build(composed(["dataset=tire_lf", "optimizer=miho"]))
@@ -200,7 +200,7 @@ def measure(quick: bool) -> Measured:
     per_block = block_seconds(space, repeats)
     tidy.append({"kind": "recorder", "name": "a block of compiled steps", "us": 1e6 * per_block})
 
-    # How often a run of MIHO makes these calls.
+    # Count these calls in a run of MIHO.
     counted = Counted(experiment.problem)
     run = minimize(experiment.optimizer, counted)
     per_improvement = cost["all", 1000] / 1000
@@ -217,8 +217,8 @@ def measure(quick: bool) -> Measured:
         Bar("recorder's share of a MIHO run", 100 * spent / run.seconds, AT_MOST, 1.0, "%"),
     ]
     notes = [
-        "us: per evaluation, of the method and the recorder together, without the loss; methods "
-        "that search with a block of compiled steps on a compiled loss take their general way here",
+        "us: per evaluation, method and recorder together, without the loss; methods with "
+        "blocks of compiled steps on a compiled loss use their general form here",
         "us of hyperband, successive halving and DEHB, which evaluate on fractions of the data: "
         "per equivalent of a full evaluation",
         "the recorder's bar per evaluation is for batches of 10 and more without improvements",

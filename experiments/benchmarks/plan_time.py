@@ -1,4 +1,4 @@
-"""How long a lap of LVMS takes to plan; the bar is 50 ms on one thread.
+"""Time to plan a lap of LVMS; the bar is 50 ms on one thread.
 
 python -m experiments.benchmarks.plan_time
 """
@@ -40,7 +40,7 @@ def main() -> None:
     with single_thread():
         for mu, top_speed in CASES:
             planner = car.planner(mu, top_speed)
-            planner.plan(line)  # compiled off the clock
+            planner.plan(line)  # compilation is not measured
             seconds = []
             for _ in range(TURNS):
                 start = perf_counter()

@@ -1,12 +1,13 @@
-"""How fast and how exact the plants are.
+"""Speed and accuracy of the plants.
 
 python -m experiments.benchmarks.plant [--quick]
 
 Speed is simulated seconds per second of one thread, at a step of 1 ms: plant 1 in control periods
-of 10 ms, as a closed loop calls it, and of 100 ms; plant 2 in control periods, where its package is
-installed. The fastest of many short turns counts, taken in turns. Exactness is what half the step
-changes: of a lap of IMS in closed loop, with braking before its turns, and of an open-loop drive of
-acceleration, weave, shifts and braking, whose error against a step of 0.125 ms is shown for each.
+of 10 ms, as in a closed loop, and of 100 ms; plant 2 in control periods, if its package is
+installed. The plants alternate, and the fastest of many short turns counts. Accuracy is the change
+with half the step in a lap of IMS in closed loop, with braking before the turns, and in an
+open-loop drive of acceleration, weave, shifts and braking. The error of the open-loop drive against
+a step of 0.125 ms is shown for each step.
 """
 
 from __future__ import annotations
@@ -46,20 +47,20 @@ DRIVE = (
     (1.5, Command(0.0, 0.0, 2e6, gear=3)),
     (2.0, Command(0.01, 1.0, gear=3)),
 )
-"""Seconds and command, from 40 m/s in gear 4."""
+"""Seconds and command of each part of the drive, from 40 m/s in gear 4."""
 STEPS = (1e-3, 5e-4, 2.5e-4)
 FINEST = 1.25e-4
 
 
 def av21() -> Vehicle:
-    """The car of the configuration."""
+    """The car of conf/vehicle/av21_full."""
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
         settings = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
     return Vehicle.from_settings(settings)  # type: ignore[arg-type]
 
 
 def held(plant: Plant[State], command: Command, period: float, count: int) -> Callable[[], object]:
-    """So many periods under one command, from the same start each time."""
+    """Job of `count` periods under one command, always from the same start."""
     start = plant.start(speed=40.0, gear=4)
 
     def run() -> None:
@@ -83,7 +84,7 @@ def speeds(car: DoubleTrack, quick: bool) -> pd.DataFrame:
         print(error)
     else:
         jobs["plant 2, 10 ms"] = (PERIOD, held(other, CRUISE, PERIOD, 1))
-    # As short as a turn can be: one that no other program interrupts is then among them.
+    # Turns are short, so that other programs do not interrupt all of them.
     took = interleaved({name: job for name, (_, job) in jobs.items()}, 50 if quick else 500, 1e-4)
     rows = [
         {
@@ -117,7 +118,7 @@ def convergence(car: DoubleTrack) -> pd.DataFrame:
 
 
 def lap_time(vehicle: Vehicle, step: float) -> float:
-    """Seconds of the second lap of IMS, planned and driven with all that is true of the car."""
+    """Seconds of the second lap of IMS, planned and driven with the true parameters of the car."""
     line = ims()
     car = embedded_plant(vehicle, road_of(line), step)
     known_car = KnownCar.of_tires(vehicle, car.tires, car.engine, car.brake)
@@ -134,7 +135,7 @@ def lap_time(vehicle: Vehicle, step: float) -> float:
 
 
 def measure(quick: bool) -> list[Bar]:
-    """Print all figures; the bars that they have to meet."""
+    """Print all figures and return the bars."""
     vehicle = av21()
     car = embedded_plant(vehicle)
     fast = speeds(car, quick)

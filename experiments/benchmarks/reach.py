@@ -1,23 +1,25 @@
-"""What a method needs to reach the optimum of many problems, or to know that it is there.
+"""Evaluations and time of a method until it reaches the optimum of many problems, or stops there.
 
 python -m experiments.benchmarks.reach optimizer=least_squares --seeds 20 --processes 2
 python -m experiments.benchmarks.reach optimizer=least_squares --vary starts=1,10,50 \
     --with optimizer.screen=10 --problems 'sample_*,tire_lf'
 python -m experiments.benchmarks.reach optimizer=least_squares --stopping
 
-Composes the method with its overrides, and each problem of conf/problem by its name. A run ends at
-1.001 times the recorded optimum, after 40,000 evaluations (`budget.evaluations`), or by itself.
-The expected running time (ERT) of a target is what all runs spent until then or until their end,
-divided by the number of runs that got there. Each variant of the method gets a line of geometric
-means over the problems next to the method as it is; `--vary` changes one setting at a time.
+The method is composed with its overrides, and each problem of conf/problem by its name. A run ends
+at 1.001 times the recorded optimum, after 40,000 evaluations (`budget.evaluations`), or by itself.
+The expected running time (ERT) of a target is the number of evaluations that all runs used until
+they reached it or ended, divided by the number of runs that reached it. A line of geometric means
+over the problems compares each variant with the unchanged method; `--vary` changes one setting at a
+time.
 
-With `--stopping` only the method ends a run, or the budget. A run is at the optimum if its loss is
-at most 1e-4 of it above that of the recorded optimum, and it arrived where its loss first was at
-most 1e-4 above its last one: what it spent over what it had spent then is the price of knowing.
-Milliseconds are of the method's clock; those of two processes at once disturb each other.
+With `--stopping` only the method or the budget ends a run. A run is at the optimum if its loss
+exceeds the loss of the recorded optimum by at most a fraction of 1e-4. It arrived when its loss
+first exceeded its final loss by at most this fraction. The evaluations at the end over the
+evaluations at arrival are the price of recognizing the optimum. Milliseconds are of the method's
+clock; two processes at once slow each other.
 
-With `--wider 30` each range is thirty times as wide around its middle, or both its ends are a
-factor of thirty further out where its scale is logarithmic. A better optimum may lie there.
+With `--wider 30` each range is thirty times as wide around its middle; on a logarithmic scale both
+ends are a factor of thirty further out. The wider range may contain a better optimum.
 """
 
 from __future__ import annotations
@@ -71,13 +73,13 @@ from miho.study import environment_stamp, single_thread, write_text
 
 DEFAULT = "as it is"
 BUDGET = ("budget.evaluations=40000", "budget.seconds=null")
-"""An arena's evaluations; seconds would make the result depend on the machine."""
+"""Evaluations as in the arena; seconds would make the result depend on the machine."""
 SEEDS_AT_ONCE = 5
 
 
 @dataclass(frozen=True)
 class Job:
-    """Runs of one variant of a method on one problem: overrides of the method, of the problem."""
+    """Runs of one variant on one problem: overrides of the method, overrides of the problem."""
 
     problem: str
     variant: str
@@ -92,7 +94,7 @@ class Job:
 def _problem(
     name: str, overrides: tuple[str, ...], wider: float
 ) -> tuple[CurveFit, Budget, float] | str:
-    """A problem, what a run on it may spend, and its optimum; or why it cannot be had here."""
+    """A problem, the budget of a run and the optimum; or the reason why its data are missing."""
     cfg = composed([*BUDGET, *overrides, f"problem={name}"])
     optimum = recorded_optimum(cfg)
     if not optimum:
@@ -110,7 +112,7 @@ def _problem(
 
 
 def widened(space: Space, factor: float) -> Space:
-    """The same parameters in wider ranges."""
+    """A space of the same parameters with wider ranges."""
     parameters = []
     for parameter in space.parameters:
         low, high = parameter.low, parameter.high
@@ -129,7 +131,7 @@ def _optimizer(method: tuple[str, ...]) -> Optimizer:
 
 
 def runs_of(job: Job) -> list[Run] | str:
-    """The runs of a job, or the reason why its problem cannot be had here."""
+    """The runs of a job, or the reason why the data of its problem are missing."""
     register()
     loaded = _problem(job.problem, job.others, job.wider)
     if isinstance(loaded, str):
@@ -166,7 +168,7 @@ def runs_of(job: Job) -> list[Run] | str:
 
 @dataclass
 class Printout:
-    """What is printed as runs come in, problem by problem."""
+    """Finished runs and their printed lines, problem by problem."""
 
     stopping: bool
     variants: Sequence[str]
@@ -179,7 +181,7 @@ class Printout:
         self.runs += runs
 
     def close(self) -> None:
-        """Print the lines over all problems, and what went wrong."""
+        """Print the lines over all problems, and the failed runs."""
         if self.stopping:
             print("\nover all runs")
             table = stopping_shares(self.runs, ["optimizer"]).reindex(list(self.variants))
@@ -201,7 +203,7 @@ class Printout:
 
     @property
     def failed(self) -> list[Run]:
-        """The runs that an error ended."""
+        """Runs that ended with an error."""
         return [run for run in self.runs if run.outcome is Outcome.FAILED]
 
     def _means(self, over: str, table: pd.DataFrame) -> None:
@@ -230,10 +232,10 @@ def _3(value: float | str) -> str:
 def variants(
     base: Sequence[str], vary: Sequence[str], others: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Overrides of the method by the variant's name, the method as it is first.
+    """Overrides of the method by the name of the variant, the unchanged method first.
 
-    `vary` are settings with several values, each a variant of its own; `others` are lists of
-    overrides, each list one variant. One that chooses another method drops what `base` says.
+    Each value of each setting of `vary` is one variant, and each list of overrides in `others` is
+    one variant. A variant that chooses another method drops the overrides of `base`.
     """
     variants = {DEFAULT: tuple(base)}
     texts = [text if text.startswith("optimizer.") else f"optimizer.{text}" for text in vary]
@@ -249,7 +251,7 @@ def variants(
         keys = [override.key_or_group for override in parse_overrides(overrides)]
         for key in keys:
             if key.partition(".")[0] != "optimizer":
-                raise ConfigError(f"{key}: is no setting of the method; vary those of optimizer")
+                raise ConfigError(f"{key}: is no setting of the method; vary optimizer settings")
         method_base = () if "optimizer" in keys else tuple(base)
         name = " ".join(re.sub(r"^optimizer[.=]", "", text) for text in overrides)
         variants[name] = (*method_base, *overrides)
@@ -257,7 +259,7 @@ def variants(
 
 
 def problems(patterns: str | None) -> list[str]:
-    """Names of conf/problem that match, in the order given; those of the arena by default."""
+    """Names of conf/problem that match, in the given order; the arena's problems by default."""
     if patterns is None:
         return list(composed(["experiment=arena"]).comparison.problems)
     available = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
@@ -271,7 +273,7 @@ def problems(patterns: str | None) -> list[str]:
 
 
 def _results(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
-    """The results of the jobs in their order."""
+    """Results of the jobs, in the order of the jobs."""
     if processes == 1:
         yield from map(runs_of, jobs)
         return
@@ -280,7 +282,7 @@ def _results(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
 
 
 def _write(path: Path, report: Printout, jobs: Sequence[Job]) -> None:
-    """A row per run (`stopping`) or per run and factor, and beside it what regenerates it."""
+    """Write a row per run (`stopping`) or per run and factor, and a file with the provenance."""
     frame = endings(report.runs) if report.stopping else hits(report.runs)
     write_text(path, frame.rename(columns={"optimizer": "variant"}).to_csv(index=False))
     about = {
@@ -303,7 +305,7 @@ def _arguments() -> argparse.Namespace:
         description=(__doc__ or "").partition("\n\n")[0],
     )
     add = parser.add_argument
-    add("overrides", nargs="*", help="such as optimizer=least_squares optimizer.screen=50")
+    add("overrides", nargs="*", help="for example optimizer=least_squares optimizer.screen=50")
     add("--problems", help="names of conf/problem or patterns, with commas (default: the arena's)")
     add("--seeds", type=int, default=10, help="runs of each variant on each problem")
     add("--first", type=int, default=0, help="the first seed")
@@ -313,7 +315,7 @@ def _arguments() -> argparse.Namespace:
         help="a variant with these overrides of the method")  # fmt: skip
     add("--stopping", action="store_true", help="let the method end its runs by itself")
     add("--wider", type=float, default=1.0, metavar="FACTOR",
-        help="search boxes so many times as wide")  # fmt: skip
+        help="factor by which the search boxes are wider")  # fmt: skip
     add("--out", type=Path, metavar="FILE.csv", help="where to write the runs, with provenance")
     arguments = parser.parse_intermixed_args()
     for name, least in (("seeds", 1), ("first", 0), ("processes", 1)):
@@ -325,12 +327,12 @@ def _arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Read the command line, run, print."""
+    """Read the command line, execute the runs and print the tables."""
     arguments = _arguments()
 
     def job() -> int:
         register()
-        # Overrides of the method (True) make its variants, the others go with every problem.
+        # Overrides of the method (True) define the variants, the others apply to every problem.
         overrides_of: dict[bool, list[str]] = {True: [], False: []}
         for text, override in zip(
             arguments.overrides, parse_overrides(arguments.overrides), strict=True
@@ -364,7 +366,7 @@ def main() -> None:
             else:
                 report.take([run for runs in results for run in runs if isinstance(run, Run)])
         if not report.runs:
-            raise ConfigError("--problems: the data of none of them can be had here")
+            raise ConfigError("--problems: the data of all problems are missing on this machine")
         report.close()
         if arguments.out is not None:
             _write(arguments.out, report, jobs)

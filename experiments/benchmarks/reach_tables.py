@@ -1,4 +1,4 @@
-"""Tables of what runs spent until they reached an optimum, or until they knew that it is one."""
+"""Tables of the evaluations until runs reached an optimum, and until they stopped by themselves."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 CLOCKED = 1.01
 """The factor whose milliseconds are shown."""
 SAME_OPTIMUM = 1e-4
-"""Relative difference of two losses that are one optimum: no error bar is as narrow, and a solver
-that stops at its tolerance is far below."""
+"""Largest relative difference of two losses of the same optimum. Error bars are wider, and the
+tolerances of solvers are much smaller."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What one run spent, and its improvements: evaluations, seconds and losses (k,) each."""
+    """Cost of one run, and its k improvements: evaluations, seconds and losses, shape (k,)."""
 
     problem: str
     variant: str
@@ -52,17 +52,17 @@ class Run:
 
     @property
     def excess(self) -> float:
-        """The last error relative to the optimum, minus 1; inf without any."""
+        """Last error relative to the optimum, minus 1; inf if the run has no loss."""
         return math.sqrt(self.losses[-1]) / self.optimum - 1 if self.losses.size else math.inf
 
     @property
     def at_optimum(self) -> bool:
-        """Whether the loss of the end is that of the recorded optimum."""
+        """Whether the final loss equals the loss of the recorded optimum, to SAME_OPTIMUM."""
         return bool(self.losses.size and self.losses[-1] <= self.optimum**2 * (1 + SAME_OPTIMUM))
 
     @property
     def overrun(self) -> float:
-        """Evaluations at the end over those at arrival; NaN for a run that never had a loss."""
+        """Evaluations at the end over evaluations at arrival; NaN if the run has no loss."""
         if not self.losses.size:
             return math.nan
         return self.evaluations / self.first(self.losses[-1] * (1 + SAME_OPTIMUM))[0]
@@ -83,10 +83,10 @@ def hits(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def reach_table(hits: pd.DataFrame) -> pd.DataFrame:
-    """A row per problem and variant: ERT to each factor, and the runs to the smallest of them.
+    """A row per problem and variant: ERT to each factor, and statistics for the smallest factor.
 
     `median`, `90 %` and `largest` are evaluations to the smallest factor, inf for a run that does
-    not get there, `ms` the median of the milliseconds to CLOCKED.
+    not reach it; `ms` is the median of the milliseconds to the factor CLOCKED.
     """
     group = ["problem", "optimizer"]
     times = running_times(hits, "evaluations").pivot(index=group, columns="factor", values="ert")
@@ -103,9 +103,9 @@ def reach_table(hits: pd.DataFrame) -> pd.DataFrame:
 def stopping_table(runs: Sequence[Run]) -> pd.DataFrame:
     """A row per problem and variant on how runs end.
 
-    `ended` is the share of runs that the method ended by itself, `at optimum` that of all runs that
-    it ended there; `spent` the median of evaluations, the others are of `Run.overrun`, over the
-    runs that the method ended.
+    `ended` is the share of runs that the method ended by itself, `at optimum` the share that it
+    ended at the optimum, and `spent` the median number of evaluations. The other columns are
+    quantiles of `Run.overrun` over the runs that the method ended.
     """
     return _in_order(stopping_shares(runs, ["problem", "optimizer"]), endings(runs))
 
@@ -134,20 +134,20 @@ def endings(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def _quantile(values: pd.Series, share: float) -> float:
-    """A value of those that are there: between a number and inf there is none."""
+    """Quantile without interpolation, which fails between a number and inf."""
     return float(np.quantile(values, share, method="inverted_cdf"))
 
 
 def _in_order(table: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a table in the order in which problems and variants were given."""
+    """Sort the rows of a table by the given order of problems and variants."""
     return table.reindex(pd.MultiIndex.from_frame(rows[table.index.names].drop_duplicates()))
 
 
 def geometric_means(table: pd.DataFrame) -> pd.DataFrame:
     """A row per variant over the problems of `reach_table`, in its order.
 
-    Geometric means of each ERT and of milliseconds: inf if there is one problem that no run solved,
-    which `unsolved` counts. `success` is the least.
+    It contains geometric means of each ERT and of the milliseconds, which are inf if no run solved
+    one of the problems; `unsolved` counts these problems. `least success` is over the problems.
     """
     columns = [f"{factor:g}" for factor in FACTORS]
     logs = table[[*columns, "ms"]].apply(np.log)
@@ -159,5 +159,5 @@ def geometric_means(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def solved_by_all(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `reach_table` on problems that some run of every variant solved."""
+    """Rows of `reach_table` on problems that at least one run of every variant solved."""
     return table[table["success"].groupby("problem").transform("min") > 0]

@@ -1,4 +1,4 @@
-"""How long a report takes: 3000 rows, 5 parameters, with and without 1000 bootstrap replicates.
+"""Time to make a report: 3000 rows, 5 parameters, with and without 1000 bootstrap replicates.
 
 python -m experiments.benchmarks.report_time
 """
@@ -18,7 +18,7 @@ REPEATS = 5
 
 
 def main() -> None:
-    """Identify tire LF once, then report on it."""
+    """Identify tire LF once, then time reports on the result."""
     register()
     with tempfile.TemporaryDirectory() as root:
         experiment = build(composed(["dataset=tire_lf", "optimizer=least_squares", f"root={root}"]))

@@ -1,14 +1,14 @@
-"""What the derivatives of a simulated motion cost, against the motion alone.
+"""Cost of the derivatives of a simulated motion, relative to the motion alone.
 
 python -m experiments.benchmarks.sensitivities [--quick] [--output FOLDER]
 
-The single-track car of `conf/problem/single_track`, 7 parameters: one evaluation (values), one of a
-batch of 64 (values, batch), one with the sensitivities that are integrated with it, and one with
-central differences of the solver, which are 14 values in one batch. The fastest of many calls in
-turns counts. A first use is that of a new model, from its right-hand side to its first values and
-sensitivities, in CPU time.
-Exactness is the largest difference of a sensitivity from complex steps through the same Runge-Kutta
-steps in NumPy, as a fraction of the largest in its column.
+The single-track car of `conf/problem/single_track`, 7 parameters: one evaluation (values), a batch
+of 64 evaluations (values, batch), one evaluation with integrated sensitivities, and one evaluation
+with central differences of the solver, which are 14 values in one batch. The fastest of many
+alternating calls counts. A first use of a new model is the CPU time from the right-hand side to the
+first values and sensitivities.
+The accuracy is the largest difference between a sensitivity and complex steps through the same
+Runge-Kutta steps in NumPy, as a fraction of the largest sensitivity in the column.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ BATCH = 64
 
 
 def both(derivatives: Callable[..., Array], model: Model, *inputs: Array) -> None:
-    """Values and derivatives at one configuration."""
+    """Compute values and derivatives at one configuration."""
     model.predict(THETA[None], *inputs)
     derivatives(THETA, *inputs)
 
 
 def jobs_of(model: Model, inputs: tuple[Array, ...]) -> dict[str, Callable[[], Any]]:
-    """What is timed, by name."""
+    """The calls to measure, by name."""
     batch = np.tile(THETA, (BATCH, 1))
     return {
         "values": partial(model.predict, THETA[None], *inputs),
@@ -62,7 +62,7 @@ def first_use(inputs: tuple[Array, ...]) -> float:
 
 
 def complex_steps(t: Array, vx: Array, steering: Array) -> Array:
-    """Derivatives (N, 7) of the same Runge-Kutta steps, without subtraction: written out anew."""
+    """Derivatives (N, 7) of the same Runge-Kutta steps, by an independent implementation."""
     B_f, C_f, D_f, B_r, C_r, D_r, Izz = (THETA + 1e-30j * np.eye(7) * THETA).T
     lf, lr, mass = CAR["lf"], CAR["lr"], CAR["mass"]
 
@@ -89,7 +89,7 @@ def complex_steps(t: Array, vx: Array, steering: Array) -> Array:
 
 
 def measure(quick: bool) -> Measured:
-    """All lengths of the record; the bars at 300 rows."""
+    """Measure all lengths of the record; the bars are at 300 rows."""
     model, tidy, table = single_track_response(CAR), [], []
     for rows in ROWS:
         data = steering_test(CAR, duration=rows / 50)

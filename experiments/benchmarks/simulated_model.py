@@ -1,13 +1,13 @@
-"""How much workers gain for a model that simulates, and that they cost a cheap one nothing.
+"""Speedup by workers for a simulated model, and their cost for a cheap model.
 
 python -m experiments.benchmarks.simulated_model [--quick] [--output FOLDER]
 
-The model is a function as a user writes it: a mass on a spring with a damper and dry friction,
-simulated by SciPy's `solve_ivp` in some 20 ms. *Real* searches are made to their own end with 1 and
-2 worker processes that take turns. *Simulated* ones are the same searches, with the real decisions,
-by workers whose time is virtual (`experiments.benchmarks.virtual_workers`): an evaluation takes the
-CPU seconds that it took, a task costs the client OVERHEAD. *Cheap* is `miho_asynchronous` on a
-compiled tire with 1 and 32 workers.
+The model is a typical function of a user: a mass on a spring with a damper and dry friction,
+simulated by SciPy's `solve_ivp` in about 20 ms. *Real* searches run until they end by themselves,
+alternately with 1 and 2 worker processes. *Simulated* searches make the same decisions with workers
+whose time is virtual (`experiments.benchmarks.virtual_workers`): an evaluation takes its measured
+CPU seconds, and a task costs the client OVERHEAD. *Cheap* is `miho_asynchronous` on a compiled tire
+with 1 and 32 workers.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ METHODS = forms("MIHO", MIHO, R=27, eta=3) | forms("MIHO-GN", MIHOGN)
 SIZES = (1, 2, 4, 8, 16, 32)
 SEEDS, QUICK_SEEDS = 3, 1
 OVERHEAD = 5e-4
-"""Seconds of the client for a task."""
+"""Seconds of the client per task."""
 CHEAP, MANY = 20_000, 32
 FASTER, AS_FAST = 1.4, 0.8
 
@@ -80,13 +80,13 @@ def oscillator(t: Array, k: float, c: float, F: float) -> Array:
 
 @cache
 def timed(k: float, c: float, F: float) -> tuple[Array, float]:
-    """The displacements, and the CPU seconds that they took, which other programs change little."""
+    """Displacements and their CPU seconds, which depend little on other programs."""
     began = time.thread_time()
     return oscillator(TIMES, k, c, F), time.thread_time() - began
 
 
 def sleeping(pool: VirtualPool) -> Callable[..., Array]:
-    """The oscillator as virtual workers simulate it, which sleep meanwhile."""
+    """The oscillator for virtual workers, which sleep for the seconds of the simulation."""
 
     def slept(t: Array, k: float, c: float, F: float) -> Array:
         values, seconds = timed(float(k), float(c), float(F))
@@ -97,7 +97,7 @@ def sleeping(pool: VirtualPool) -> Callable[..., Array]:
 
 
 def problem_of(function: Callable[..., Array]) -> CurveFit:
-    """The fit of a function to displacements with noise."""
+    """Problem of a fit of a function to displacements with noise."""
     noise = NOISE * np.random.default_rng(1).standard_normal(TIMES.size)
     columns = {"t": TIMES, "x": oscillator(TIMES, **TRUTH) + noise}
     data = Dataset("oscillator", columns, {"t": "s", "x": "m"}, "x")
@@ -106,7 +106,7 @@ def problem_of(function: Callable[..., Array]) -> CurveFit:
 
 
 def real(seeds: int) -> Iterator[dict[str, Any]]:
-    """A row for each method, seed and number of processes, which take turns."""
+    """A row for each method, seed and number of processes, which alternate."""
     for seed, (name, optimizer), size in itertools.product(range(seeds), METHODS.items(), (1, 2)):
         record = minimize(optimizer, problem_of(oscillator), seed=seed, workers=size)
         if record.error is not None:
@@ -162,7 +162,7 @@ def cheap(turns: int) -> Iterator[dict[str, Any]]:
 
 
 def measure(quick: bool) -> Measured:
-    """Medians over seeds, how many times faster than one worker, and the bars."""
+    """Measure medians over seeds, the speedup over one worker, and the bars."""
     seeds = QUICK_SEEDS if quick else SEEDS
     frame = pd.DataFrame(list(shown(itertools.chain(cheap(5), simulated(seeds), real(seeds)))))
     groups = frame.groupby(["kind", "method", "workers"], sort=False)
@@ -184,11 +184,13 @@ def measure(quick: bool) -> Measured:
     lengths = np.array([seconds for _, seconds in _measured()])
     share = np.quantile(lengths, [0.05, 0.5, 0.95]) / lengths.mean()
     notes.append(
-        f"a simulation took {1e3 * statistics.fmean(lengths):.3g} ms of CPU, of which 5, 50 and "
-        f"95 % took at most {share[0]:.2f}, {share[1]:.2f} and {share[2]:.2f} times that"
+        f"a simulation took {1e3 * statistics.fmean(lengths):.3g} ms of CPU on average; 5, 50 "
+        f"and 95 % took at most {share[0]:.2f}, {share[1]:.2f} and {share[2]:.2f} times as long"
     )
     load = frame["load"].max()
-    notes.append(f"load of the machine meanwhile: up to {load:.1f} on {os.cpu_count()} cores")
+    notes.append(
+        f"load of the machine during the benchmark: up to {load:.1f} on {os.cpu_count()} cores"
+    )
     return Measured(table, frame, bars, notes, {"overhead_seconds": OVERHEAD, "load": load})
 
 

@@ -1,7 +1,7 @@
-"""How long a simulation takes over the space of its parameters, measured on this machine.
+"""Seconds of simulations over the space of their parameters, measured on this machine.
 
-The car of `single_track_response` driven through the steering test by SciPy's `solve_ivp` as it
-comes (RK45, adaptive steps): stiff axles need more steps, and a car that slides needs fewer.
+The car of `single_track_response` drives the steering test, simulated by SciPy's `solve_ivp` with
+default settings (RK45, adaptive steps). Stiff axles need more steps, a sliding car fewer.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def simulation_times(draws: int = DRAWS, seed: int = 0) -> Array:
 
 
 def simulations(draws: int, seed: int = 0) -> list[Callable[[], Any]]:
-    """Simulations that are to be called, each of which gives SciPy's solution."""
+    """Functions without arguments that simulate and return SciPy's solution."""
     register()
     problem = build_problem(composed(["model=single_track_response", "dataset=steering_test"]))
     model, space = cast(Trajectory, problem.model), problem.space
@@ -42,7 +42,7 @@ def simulations(draws: int, seed: int = 0) -> list[Callable[[], Any]]:
 
 
 def _simulated(model: Trajectory, parameters: Mapping[str, float]) -> Any:
-    from scipy.integrate import solve_ivp  # here, since importing it takes a second
+    from scipy.integrate import solve_ivp  # the import takes a second
 
     def rates(t: float, state: Array) -> tuple[float, ...]:
         vx, steering = manoeuvre(np.asarray(t), DURATION)

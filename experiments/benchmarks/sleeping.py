@@ -1,4 +1,4 @@
-"""A model that takes as long as it is told to: a decay whose every evaluation sleeps first."""
+"""A model with prescribed evaluation times: a decay that sleeps before each evaluation."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ from miho.parallel import Evaluations
 from miho.quantities import Array
 
 SIGMA = 0.7
-"""The spread of log-normal lengths, of their natural logarithm."""
+"""Standard deviation of the natural logarithm of log-normal times."""
 ROWS, NOISE = 60, 0.05
 ASYNCHRONOUS = "Asynchronous"
-"""Before the name of the class of which this is the other form."""
+"""Prefix of the class name of an asynchronous form."""
 
 
 @dataclass(frozen=True)
 class Lengths:
-    """How long an evaluation of a configuration (d,) takes: `mean` seconds on average.
+    """Seconds of the evaluation of a configuration (d,), on average `mean`.
 
-    Spread log-normally by `sigma`, 0 for equal ones, or as those `measured`, the shortest first.
-    The same configuration takes as long wherever it is evaluated: its bytes are hashed.
+    The seconds are spread log-normally by `sigma` (0: all equal), or like the `measured` seconds,
+    which are sorted. They follow from a hash of the configuration, so that they are the same on
+    every worker.
     """
 
     mean: float
@@ -87,22 +88,22 @@ class Decay(LeastSquaresProblem):
         return np.array([mean_square(self.residuals(theta, fidelity)) for theta in thetas])
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Of the first rows (m,)."""
+        """Residuals (m,) of the first rows."""
         (a, b, c, d), m = theta, round(fidelity * ROWS)
         x = self._x[:m]
         return np.asarray(a * np.exp(-b * x) + c * np.sin(d * x) - self._y[:m])
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Its derivatives (m, 4)."""
+        """Derivatives (m, 4) of the residuals."""
         (a, b, c, d), x = theta, self._x[: round(fidelity * ROWS)]
         decay = np.exp(-b * x)
         return np.column_stack([decay, -a * x * decay, np.sin(d * x), c * x * np.cos(d * x)])
 
 
 class Sleeping(LeastSquaresProblem):
-    """A decay each of whose evaluations takes its time by `sleep`; less on a part of the rows.
+    """A decay that calls `sleep` for the time of each evaluation, less for a part of the rows.
 
-    Derivatives take as long as those by differences: an evaluation for each parameter.
+    Derivatives take as long as differences: one evaluation for each parameter.
     """
 
     linear, rows = Decay.linear, Decay.rows
@@ -117,19 +118,19 @@ class Sleeping(LeastSquaresProblem):
         return self._inner.loss(thetas, fidelity)
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Of the first rows (m,)."""
+        """Residuals (m,) of the first rows."""
         self._sleep(fidelity * self._lengths(theta))
         return self._inner.residuals(theta, fidelity)
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Their derivatives (m, d)."""
+        """Derivatives (m, d) of the residuals."""
         self._sleep(len(self.space) * fidelity * self._lengths(theta))
         return self._inner.jacobian(theta, fidelity)
 
 
 @dataclass(frozen=True)
 class Search:
-    """How a search ended: wall seconds, evaluations, the seconds of all of them, best loss."""
+    """Result of a search: wall seconds, evaluations, seconds of all evaluations, best loss."""
 
     seconds: float
     evaluations: float
@@ -138,7 +139,7 @@ class Search:
 
 
 def forms(name: str, method: Callable[..., Optimizer], **settings: Any) -> dict[str, Optimizer]:
-    """A method with some settings by its name, and its asynchronous form where there is one."""
+    """A method with some settings by name, and its asynchronous form if there is one."""
     library = importlib.import_module("miho.optim")
     other = getattr(library, ASYNCHRONOUS + method.__name__, None)
     both = {name: method(**settings)}
@@ -153,9 +154,9 @@ def search(
     seed: int = 0,
     clock: Clock | None = None,
 ) -> Search:
-    """Search as `minimize` does, by workers that run already, real or virtual.
+    """Search like `minimize`, with running workers, real or virtual.
 
-    A method and its asynchronous form draw the same random numbers: their seeds are paired.
+    A method and its asynchronous form use the same random numbers, so that their seeds are paired.
     """
     oracle = Oracle(
         problem.spread(evaluations),

@@ -1,10 +1,11 @@
-"""What a task of nothing costs: ours by processes and by Dask, beside what others ask for it.
+"""Cost of an empty task: by processes and Dask of this project, and by other libraries.
 
 python -m experiments.benchmarks.tasks [--quick] [--output FOLDER]
 
-Each runs 1,000 tasks that return their argument, by two workers. Their start is told apart: it is
-the first task of each. The median of several turns counts. What is not installed is left out, and
-said. Optuna's trials run in threads; Ray Tune has a tenth of the tasks, since it takes minutes.
+Each library runs 1,000 tasks that return their argument, with two workers. The start of the workers
+is measured separately, up to the end of their first tasks. The median of several turns counts. A
+note names each library that is not installed. Optuna runs its trials in threads; Ray Tune runs a
+tenth of the tasks, because it takes minutes.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ TASKS, WORKERS, TURNS = 1000, 2, 5
 TENTH = 10
 LIMITS = {"miho, processes": 1.0, "miho, Dask": 3.0}
 Run = Callable[[int], object]
-"""Does so many tasks of nothing."""
+"""Runs a number of empty tasks."""
 
 
 @contextmanager
 def pool(engine: str) -> Iterator[Run]:
-    """Our workers as searches use them: calls of a shared function, with their tries and times."""
+    """Workers as in searches: calls of a shared function, with retries and measured times."""
     with started(engine, WORKERS) as (workers, _):
         yield lambda count: list(workers.map(operator.pos, range(count)))
 
@@ -68,7 +69,7 @@ def optuna() -> Iterator[Run]:
 
 @contextmanager
 def ray_tune() -> Iterator[Run]:
-    """A tenth of the trials, whose seconds are then multiplied."""
+    """A tenth of the trials; `measure` multiplies their seconds."""
     ray, tune = importlib.import_module("ray"), importlib.import_module("ray.tune")
     ray.init(num_cpus=WORKERS, log_to_driver=False, include_dashboard=False)
     try:
@@ -96,7 +97,7 @@ LIBRARIES = {"joblib (loky)": "joblib", "Optuna (threads)": "optuna", "Ray Tune"
 
 
 def measure(quick: bool) -> Measured:
-    """Seconds of the start and of the tasks of each form."""
+    """Measure the seconds of the start and of the tasks of each form."""
     rows, notes, versions = [], [], {}
     for name, opened in FORMS.items():
         if name == "miho, Dask" and DASK not in engines():

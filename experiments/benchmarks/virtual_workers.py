@@ -1,9 +1,8 @@
-"""Workers in virtual time: a discrete-event model behind the evaluations of a real search.
+"""Workers in virtual time: a discrete-event simulation for the evaluations of a real search.
 
-Methods, oracle and evaluations are the real ones, and so are their decisions; only a worker's
-seconds pass as fast as they can be counted. The client hands tasks to workers one after the other,
-each of which costs it `overhead` seconds, and a worker does one task at a time, in the order in
-which they were handed over.
+Methods, oracle, evaluations and decisions are real; only the seconds of the workers are virtual.
+The client sends tasks to workers one after the other, and each task costs it `overhead` seconds. A
+worker executes one task at a time, in the order of sending.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from miho.parallel.remote import Answer
 
 
 class VirtualPool:
-    """What `Evaluations` uses of a pool, with `size` workers whose time is virtual."""
+    """The part of a pool that `Evaluations` uses, with `size` workers in virtual time."""
 
     def __init__(self, size: int, overhead: float) -> None:
         self.size, self.limit = size, None
@@ -37,15 +36,15 @@ class VirtualPool:
         self._ends: list[tuple[float, int, Future[Answer], Answer]] = []
 
     def sleep(self, seconds: float) -> None:
-        """Have an evaluation take so long: what models call."""
+        """Add to the virtual seconds of the current evaluation; models call this."""
         self._slept += seconds
 
     def share(self, function: Callable[[Any], Any]) -> Callable[[Any], Future[Answer]]:
-        """What has the function called by a worker, with an argument."""
+        """Return a function that has a worker call `function` with an argument."""
         return partial(self._call, function)
 
     def _call(self, function: Callable[[Any], Any], argument: Any) -> Future[Answer]:
-        """Compute the answer at once, and keep it until the time at which it would come."""
+        """Compute the answer at once, and keep it until its virtual time of arrival."""
         self._slept = 0.0
         answer = Answer(function(argument), self._slept)
         self._handed_over = max(self._handed_over, self.now) + self._overhead
@@ -56,11 +55,11 @@ class VirtualPool:
         return future
 
     def connected(self) -> bool:
-        """Always: these workers cannot leave."""
+        """Always true: virtual workers cannot be lost."""
         return True
 
     def wait(self, news: threading.Event) -> None:
-        """Let time go on until a call has ended."""
+        """Advance the virtual time until a call has ended."""
         while not news.is_set():
             self.now, _, future, answer = heapq.heappop(self._ends)
             if future.set_running_or_notify_cancel():
@@ -68,7 +67,7 @@ class VirtualPool:
         news.clear()
 
     def flush(self) -> None:
-        """No call waits for others."""
+        """Do nothing: no call waits for others."""
 
 
 def virtual_search(
@@ -79,10 +78,11 @@ def virtual_search(
     budget: Budget,
     seed: int = 0,
 ) -> Search:
-    """The search of a sleeping model by virtual workers; its seconds are virtual.
+    """Search with a sleeping model and virtual workers; the seconds of the result are virtual.
 
-    The first evaluation, which a real search makes alone to see how long one takes, costs the mean.
-    All are made by workers (`limited`): what were made here would take no virtual time.
+    The first evaluation, which a real search makes alone to measure its time, costs the mean.
+    Every evaluation is sent to a worker (`limited`), because an evaluation in this process would
+    take no virtual time.
     """
     pool = VirtualPool(workers, overhead)
     pool.now = lengths.mean

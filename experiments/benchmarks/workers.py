@@ -1,13 +1,14 @@
-"""How well workers are used, by models that sleep and by one that is cheap.
+"""Efficiency of workers with sleeping models and with a cheap model.
 
 python -m experiments.benchmarks.workers [--quick] [--output FOLDER]
 
-Sleeping models let a machine of few cores hold many workers. *Efficiency* is the evaluations' own
-seconds over wall seconds times workers, in batches of equal evaluations of 100 ms, the median of
-five runs; workers are there before, and what their start took is told apart. *Throughput* is
-evaluations per second of MIHO and of its asynchronous form where evaluations are spread
-log-normally; their final errors are those of more seeds, on virtual workers. *Cheap* is what
-`workers=2` costs a model of 1 µs against `workers=1`, in calls of `minimize` that take turns.
+With sleeping models a machine of few cores can run many workers. *Efficiency* is the total seconds
+of the evaluations over the wall seconds times the number of workers, in batches of equal
+evaluations of 100 ms, the median of five runs. Workers start before the measurement; the time of
+their start is listed separately. *Throughput* is evaluations per second of MIHO and of its
+asynchronous form with log-normal evaluation times; final errors come from more seeds, on virtual
+workers. *Cheap* is the cost of `workers=2` relative to `workers=1` for a model of 1 µs, in
+alternating calls of `minimize`.
 """
 
 from __future__ import annotations
@@ -46,23 +47,25 @@ SIZES = (1, 2, 4, 8, 16, 32, 64)
 BATCH = 256
 PER_CORE, REPEATS = 8, 5
 EACH = 20
-"""Evaluations for each worker, at least, and no fewer than a batch of 64 in all."""
+"""Least number of evaluations per worker; the total is at least a batch of 64."""
 LIMITS = {8: 0.9, 64: 0.8}
 MANY = 32
 FASTER = 1.5
 CHEAP = 5.0
 HARMONICS = np.arange(1.0, 21.0)
 SEEDS, SAME = 100, 1.05
-"""Medians of the final errors of so many seeds are the same if they differ by less: 2.5 standard
-errors of their ratio. Fewer seeds are not judged."""
+"""Number of seeds, and the largest ratio of medians of final errors that counts as equal: 1 plus
+2.5 standard errors of the ratio. There is no bar with fewer seeds."""
 FORMS = ("MIHO", "MIHO, asynchronous")
 OVERHEAD = 5e-4
-"""Seconds of the client for a task of virtual workers, which matter little for final errors."""
+"""Seconds of the client per task of virtual workers, which hardly affect final errors."""
 
 
 def sizes_of(engine: str) -> list[int]:
-    """Numbers of workers: of Dask no more than the machine can hold, each a Python of its own that
-    keeps in touch with the scheduler."""
+    """Numbers of workers, for Dask at most PER_CORE per core.
+
+    A worker of Dask is a Python process that exchanges heartbeats with the scheduler.
+    """
     most = SIZES[-1] if engine == PROCESSES else PER_CORE * (os.cpu_count() or 1)
     return [size for size in SIZES if size <= most]
 
@@ -91,7 +94,7 @@ def efficiencies(quick: bool) -> Iterator[dict[str, object]]:
 
 
 def throughputs(quick: bool) -> Iterator[dict[str, object]]:
-    """A row for each form of MIHO and seed, by real workers and to its own end."""
+    """A row for each form of MIHO and seed, by real workers until the method ends."""
     size, settings = (8, {"R": 9, "eta": 3}) if quick else (MANY, {"R": 100, "eta": 3})
     with started(PROCESSES, size) as (pool, _):
         for seed in range(1 if quick else 3):
@@ -111,7 +114,7 @@ def throughputs(quick: bool) -> Iterator[dict[str, object]]:
 
 
 def final_errors(quick: bool) -> Iterator[dict[str, object]]:
-    """A row for each form of MIHO and seed, by virtual workers and to its own end."""
+    """A row for each form of MIHO and seed, by virtual workers until the method ends."""
     lengths = Lengths(SECONDS, SIGMA)
     best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
     for seed in range(10 if quick else SEEDS):
@@ -159,7 +162,7 @@ def cheap(quick: bool) -> Iterator[dict[str, object]]:
             run()
         for turn in range(4 if quick else 20):
             row: dict[str, object] = {"kind": "cheap", "name": name, "seed": 0}
-            # Who begins takes turns as well, for what a run leaves behind, such as memory.
+            # The order alternates as well, because a run may affect the next one by memory.
             for workers in sorted(runs, reverse=bool(turn % 2)):
                 began = time.perf_counter()
                 record = runs[workers]()
@@ -171,7 +174,7 @@ def cheap(quick: bool) -> Iterator[dict[str, object]]:
 
 
 def _bars(frame: pd.DataFrame) -> list[Bar]:
-    """What has to be met, as far as it was measured."""
+    """Bars of the measured rows."""
     bars = []
     rows = frame[(frame["kind"] == "efficiency") & frame["workers"].isin(LIMITS)]
     for engine in rows["name"].unique():
@@ -195,14 +198,14 @@ def _bars(frame: pd.DataFrame) -> list[Bar]:
 
 
 def _ratio(frame: pd.DataFrame, kind: str, column: str) -> float:
-    """The asynchronous median of a column over the synchronous one; NaN without either."""
+    """Asynchronous median of a column over the synchronous median; NaN if one is missing."""
     rows = frame[frame["kind"] == kind]
     synchronous, asynchronous = (rows[rows["name"] == form][column].median() for form in FORMS)
     return float(asynchronous) / float(synchronous)
 
 
 def measure(quick: bool) -> Measured:
-    """All rows; those of several seeds and turns by their medians in the table."""
+    """Measure all rows; the table has the medians over seeds and turns."""
     parts = cheap(quick), efficiencies(quick), throughputs(quick), final_errors(quick)
     frame = pd.DataFrame(list(shown(chain(*parts))))
     numbers = [column for column in frame if column not in ("kind", "name", "seed", "says")]
@@ -217,9 +220,9 @@ def measure(quick: bool) -> Measured:
     errors = frame[frame["kind"] == "final error"].groupby("name")["error"].apply(list)
     if set(FORMS) <= set(errors.index):
         p = mannwhitneyu(*(errors[form] for form in FORMS)).pvalue
-        notes.append(f"final errors over that of the optimum, both forms: Mann-Whitney p = {p:.2g}")
+        notes.append(f"final errors relative to the optimum, both forms: Mann-Whitney p = {p:.2g}")
     else:
-        notes.append(f"left out: {FORMS[1]}, which is not there")
+        notes.append(f"left out: {FORMS[1]}, which miho.optim does not have")
     left_out = len(SIZES) - len(sizes_of(DASK))
     if left_out:
         notes.append(
