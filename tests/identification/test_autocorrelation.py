@@ -352,10 +352,14 @@ def test_rows_of_different_records_are_no_neighbours() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_very_smooth_errors_do_not_widen_intervals_without_limit(seed: int) -> None:
-    """Over eight seeds B varies by 0.45; a root next to 1 made its standard error 8 to 24."""
+    """Over eight seeds B varies by 0.45; a root next to 1 made its standard error 8 to 24.
+
+    The likelihood has several maxima. With other BLAS kernels the descent ends in another one, and
+    the standard error is 0.48 or 0.87.
+    """
     car = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
     data = simulated_axle_drive(car, "front", seed=seed, noise=2.0)
     box = {"B": (2, 40), "C": (1, 2.5), "D": (1000, 9000), "Sx": (-0.05, 0.05), "Sy": (-900, 900)}
     fit = miho.fit(Pacejka(), dict(data.columns), data.output, box)
     assert fit.uncertainty.dependence is not None
-    assert 0.3 < fit.parameters.loc["B", "standard_error"] < 0.7
+    assert 0.3 < fit.parameters.loc["B", "standard_error"] < 1.2
