@@ -127,9 +127,7 @@ def test_a_descent_starts_from_the_best_of_what_another_method_evaluated(tmp_pat
     assert known.run.tolist() == pytest.approx(by_hand.run.tolist(), rel=1e-6)
     assert len(descended.calls) < len(alone.calls)
     fixed = Counted()
-    with pytest.raises(
-        ValueError, match="journal has no configuration of decay-decay within the bounds"
-    ):
+    with pytest.raises(ValueError, match="journal has no configuration of decay within the bounds"):
         miho.fit(fixed.model, t, y, {"a": (0, 5)}, fixed={"b": 1.0}, start="journal", journal=path)
     with pytest.raises(ValueError, match="expected a file as journal as well"):
         miho.fit(fixed.model, t, y, BOX, start="journal")

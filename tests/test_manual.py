@@ -12,6 +12,7 @@ import cloudpickle
 import pytest
 
 from miho.data import embedded_tire
+from tests.printed import check_printed
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -25,9 +26,12 @@ SECONDS = {
 """Pages whose Python takes seconds; the README's shows whether an installation works."""
 NEEDS = {"posterior.md": ("arviz", "emcee")}
 """Libraries of an extra that the Python of a page needs."""
+BLOCK = re.compile(r"```python\n(?P<code>.*?)```(?:\n\n```text\n(?P<printed>.*?)\n```)?", re.DOTALL)
+"""Python, and the text that it prints if a block of text follows."""
 BLOCKS = [
     pytest.param(
-        block,
+        found["code"],
+        found["printed"],
         id=f"{page.name}-{number}",
         marks=[
             *([pytest.mark.slow] if page.name in SECONDS else []),
@@ -40,12 +44,18 @@ BLOCKS = [
     )
     for page in PAGES
     if page.name not in LONG
-    for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+    for number, found in enumerate(BLOCK.finditer(page.read_text(encoding="utf-8")))
 ]
 
 
-@pytest.mark.parametrize("block", BLOCKS)
-def test_python_blocks_run(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("code", "printed"), BLOCKS)
+def test_python_blocks_run_and_print_the_text_after_them(
+    code: str,
+    printed: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     (tmp_path / "runs" / "compare").mkdir(parents=True)
     shutil.copy(embedded_tire("lf"), tmp_path / "my.tir")
     monkeypatch.chdir(tmp_path)
@@ -53,9 +63,11 @@ def test_python_blocks_run(block: str, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "readme", module)
     cloudpickle.register_pickle_by_value(module)  # as functions of a main file are sent to workers
     try:
-        exec(compile(block, "README.md", "exec"), module.__dict__)
+        exec(compile(code, "README.md", "exec"), module.__dict__)
     finally:
         cloudpickle.unregister_pickle_by_value(module)
+    if printed is not None:
+        check_printed(capsys.readouterr().out, printed)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -153,10 +153,11 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """The label; by default the names of model and dataset."""
+        """The label; by default the names of model and dataset, once if they are the same."""
         if self.label is not None:
             return self.label
-        name = f"{self.model.name or type(self.model).__name__.lower()}-{self.dataset.name}"
+        names = self.model.name or type(self.model).__name__.lower(), self.dataset.name
+        name = "-".join(dict.fromkeys(names))
         return name if self._square else f"{name}-{type(self.rho).__name__.lower()}"
 
     @property

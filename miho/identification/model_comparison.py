@@ -135,7 +135,7 @@ class ModelComparison:
                 "too small. Do not choose by them."
             )
         sentences.append(
-            "criteria only rank these models: read in its report whether the best of them is "
+            "these criteria only rank the models: the report of the best one says whether it is "
             "adequate."
         )
         return sentences
