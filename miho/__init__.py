@@ -2,13 +2,13 @@
 
 from typing import TYPE_CHECKING
 
+import miho.moved  # noqa: F401 -- answers for former names
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
     from miho.data import Dataset
     from miho.fitting import Fit, Part, fit, fit_joint, fit_many
     from miho.identification import CurveFit, compare_models
-    from miho.models import load_tir
     from miho.optim import (
         MIHO,
         MIHOGN,
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from miho.optim.minimize import minimize
     from miho.study import load_runs
+    from miho.vehicle.models import load_tir
 
 __all__ = [
     "MIHO",

@@ -35,10 +35,20 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         },
         NUMERICS | TABLES | {"emcee", "arviz"},
     ),
-    "miho.driving.assembly": (
+    "miho.vehicle.models": (
+        {"miho.vehicle.models", "miho.models", "miho.compiled"},
+        NUMERICS,
+    ),
+    "miho.vehicle.data": (
+        {"miho.vehicle.data", "miho.vehicle.models", "miho.data", "miho.models"},
+        NUMERICS | {"pooch"},
+    ),
+    "miho.vehicle.driving.assembly": (
         {
-            "miho.driving.assembly",
-            "miho.driving",
+            "miho.vehicle.driving.assembly",
+            "miho.vehicle.driving",
+            "miho.vehicle.models",
+            "miho.vehicle.data",
             "miho.identification",
             "miho.optim",
             "miho.models",
@@ -47,7 +57,17 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         },
         NUMERICS,
     ),
-    "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS | {"numba"}),
+    "miho.vehicle.driving": (
+        {
+            "miho.vehicle.driving",
+            "miho.vehicle.models",
+            "miho.vehicle.data",
+            "miho.models",
+            "miho.data",
+        },
+        NUMERICS | {"numba"},
+    ),
+    "miho.vehicle": (set(), set()),
     "miho.study": (
         {"miho.core", "miho.study", "miho.optim", "miho.parallel"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
@@ -85,7 +105,8 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
 }
 SHARED = {
-    "miho.exports", "miho.quantities", "miho.radial_map", "miho.regular_file", "miho.validate",
+    "miho.exports", "miho.moved", "miho.quantities", "miho.radial_map",
+    "miho.regular_file", "miho.validate",
 }  # fmt: skip
 """Below all layers: anyone may import them, and they import nobody but NumPy."""
 CONCRETE = {"MIHO", "RandomSearch"}

@@ -186,7 +186,7 @@ def test_problems_without_data_are_left_out_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nowhere = ("http://127.0.0.1:9/x", tmp_path)
-    monkeypatch.setattr("miho.data.seong.sample_file.__defaults__", nowhere)
+    monkeypatch.setattr("miho.vehicle.data.seong.sample_file.__defaults__", nowhere)
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15,brake_static]"]
     planned = plan_arena(composed(overrides), overrides)

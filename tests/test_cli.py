@@ -31,7 +31,7 @@ from miho.study.store import read_run
 from tests.faults.misbehaviour import MODEL
 
 ROOT = Path(__file__).parent.parent
-TIRE = ROOT / "miho" / "data" / "tires" / "lf.tir"
+TIRE = ROOT / "miho" / "vehicle" / "data" / "tires" / "lf.tir"
 QUICK = ["optimizer=least_squares", "dataset.n=200"]
 
 Command = Callable[..., tuple[int, str, str]]
@@ -524,7 +524,7 @@ def test_a_missing_download_is_one_line(
     identify: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "miho.data.seong.sample_file.__defaults__", ("http://127.0.0.1:9/x", tmp_path)
+        "miho.vehicle.data.seong.sample_file.__defaults__", ("http://127.0.0.1:9/x", tmp_path)
     )
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
     code, _, err = identify("dataset=seong_sample_a")

@@ -116,7 +116,7 @@ def test_a_file_of_your_own(tmp_path: Path) -> None:
     path.write_text("alpha,Fy\n" + "\n".join(f"{i / 100},{-i}" for i in range(20)))
     experiment = build(composed(["dataset=csv", f"dataset.path={path}"]))
     assert len(experiment.problem.dataset) == 20
-    tire = CONF.parent / "miho" / "data" / "tires" / "lf.tir"
+    tire = CONF.parent / "miho" / "vehicle" / "data" / "tires" / "lf.tir"
     overrides = ["dataset=tir", f"dataset.tire={tire}", "dataset.ranges.alpha=[0, 0.1]"]
     assert build(composed(overrides)).problem.dataset["alpha"].min() >= 0
 

@@ -21,9 +21,9 @@ PUBLIC = [
 ]
 PENDING = {
     "miho.methods": "RandomSearch",
-    "miho.models": "BrakeCommand FrontRear",
     "miho.optim": "Arrivals AsynchronousMIHO AsynchronousMIHOGN Checkpoint Clock Descent Meter "
     "Minimum Rung Starts Trace hyperband_table in_optimum",
+    "miho.vehicle.models": "BrakeCommand FrontRear",
 }
 """Names whose docstrings do not list their parameters yet; take a name out with its rewrite."""
 EXAMPLES = [

@@ -19,16 +19,16 @@ from experiments.app.schema import register
 from experiments.drive import drive
 from experiments.driving.car import PARTS, identified_parts, known_car
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
-from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.driving.driver import Driver
-from miho.driving.outcome import Clearance, Departure, departure
-from miho.driving.path_tracking import Weights
-from miho.driving.simulation import Drive
-from miho.driving.steering_as_printed import INTERVAL, PrintedSteering
-from miho.driving.vehicle import Vehicle
-from miho.models import BrakeTorque
 from miho.models.identified import Identified, Value, parameters_text
-from tests.driving.test_vehicle import av21
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving.driver import Driver
+from miho.vehicle.driving.outcome import Clearance, Departure, departure
+from miho.vehicle.driving.path_tracking import Weights
+from miho.vehicle.driving.simulation import Drive
+from miho.vehicle.driving.steering_as_printed import INTERVAL, PrintedSteering
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.models import BrakeTorque
+from tests.vehicle.driving.test_vehicle import av21
 
 register()
 IMS, LVMS = "experiment=ims_obstacle", "experiment=lvms_laps"

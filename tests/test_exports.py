@@ -10,9 +10,11 @@ import sys
 import pytest
 
 import miho
+from miho.moved import new_name
 
 PACKAGES = ["miho", *(f"miho.{name}" for name in (
-    "analysis", "data", "driving", "identification", "methods", "models", "study"))]  # fmt: skip
+    "analysis", "data", "identification", "methods", "models", "study",
+    "vehicle.data", "vehicle.driving", "vehicle.models"))]  # fmt: skip
 HEAVY = [
     "matplotlib",
     "numba",
@@ -41,11 +43,33 @@ def test_what_a_package_passes_on_is_not_called_as_a_module_of_it(name: str) -> 
 
 
 def test_modules_are_attributes_and_nothing_else_is() -> None:
-    assert miho.models.tire.Pacejka is importlib.import_module("miho.models").Pacejka
+    assert (
+        miho.vehicle.models.tire.Pacejka is importlib.import_module("miho.vehicle.models").Pacejka
+    )
     with pytest.raises(AttributeError, match="module 'miho' has no attribute 'pacejka'"):
         miho.pacejka  # noqa: B018
     with pytest.raises(ImportError):
         exec("from miho.models import pacejka")
+
+
+@pytest.mark.parametrize(
+    ("statement", "new"),
+    [
+        ("from miho.models import Pacejka", "miho.vehicle.models.Pacejka"),
+        ("from miho.models.magic_formula import MagicFormula", "miho.vehicle.models.magic_formula"),
+        ("import miho.data; miho.data.load_axle_samples", "miho.vehicle.data.load_axle_samples"),
+    ],
+)
+def test_a_former_name_is_answered_with_the_new_one(statement: str, new: str) -> None:
+    with pytest.raises(ModuleNotFoundError, match=rf"^miho\.[\w.]+ is now {new}$"):
+        exec(statement)
+    home, _, name = new.rpartition(".")
+    assert hasattr(importlib.import_module(home), name)
+
+
+def test_the_former_package_of_driving_is_known() -> None:
+    assert new_name("miho.driving") == "miho.vehicle.driving"
+    assert new_name("miho.models.Model") is None
 
 
 @pytest.mark.parametrize(
@@ -54,8 +78,9 @@ def test_modules_are_attributes_and_nothing_else_is() -> None:
         "import miho",
         "import miho.analysis",
         "from miho import MIHO, MIHOGN, CurveFit, Dataset, Space, minimize",
-        "import miho.data, miho.models; [getattr(p, n) for p in (miho.data, miho.models) "
-        "for n in p.__all__]",
+        "import miho.data, miho.models, miho.vehicle.data, miho.vehicle.models; "
+        "packages = miho.data, miho.models, miho.vehicle.data, miho.vehicle.models; "
+        "[getattr(p, n) for p in packages for n in p.__all__]",
     ],
 )
 def test_what_takes_long_to_import_is_imported_where_it_is_used(program: str) -> None:

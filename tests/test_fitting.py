@@ -20,9 +20,9 @@ from scipy.optimize import curve_fit, least_squares
 import miho
 from miho.compiled.kernel import Formula
 from miho.core import machine
-from miho.data import embedded_tire
-from miho.models import Pacejka, TireFormula
-from miho.models.tir_reader import read_tir
+from miho.vehicle.data import embedded_tire
+from miho.vehicle.models import Pacejka, TireFormula
+from miho.vehicle.models.tir_reader import read_tir
 from tests.optim.decays import Decay
 from tests.printed import flat
 

@@ -13,14 +13,14 @@ import scipy.optimize
 import miho
 from miho import Part
 from miho.core import machine
-from miho.data import embedded_tire
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import optimal_design
 from miho.identification.uncertainty import series_of
-from miho.models import Pacejka
 from miho.models.expression import Expression
 from miho.models.joint import PART, JointExpression, JointModel, parts_of
 from miho.models.traced import TracedExpression
+from miho.vehicle.data import embedded_tire
+from miho.vehicle.models import Pacejka
 
 needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")
 t = np.linspace(0, 1, 30)

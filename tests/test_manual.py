@@ -11,7 +11,7 @@ from pathlib import Path
 import cloudpickle
 import pytest
 
-from miho.data import embedded_tire
+from miho.vehicle.data import embedded_tire
 from tests.printed import check_printed
 
 ROOT = Path(__file__).parent.parent

@@ -43,7 +43,8 @@ def test_the_wheel_contains_only_miho(wheel: Path) -> None:
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"miho"}
     assert "miho/py.typed" in names
-    assert {f"miho/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")} <= set(names)
+    tires = {f"miho/vehicle/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")}
+    assert tires <= set(names)
     assert {f"miho/data/published/{name}.txt" for name in published_names()} <= set(names)
     pages = {
         path.relative_to(ROOT).as_posix()
@@ -97,7 +98,7 @@ def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
     program = (
-        "import miho, miho.data as d, miho.models as m, pathlib, sys;"
+        "import miho, miho.vehicle.data as d, miho.vehicle.models as m, pathlib, sys;"
         "p = lambda n, u, lo, hi: miho.Parameter(n, u, lo, hi);"
         "s = miho.Space((p('B','1/rad',2,40), p('C','-',1,2.5), p('D','N',1e3,9e3),"
         "p('Sx','rad',-.05,.05), p('Sy','N',-500,500)));"

@@ -10,11 +10,12 @@ from types import SimpleNamespace
 import pytest
 
 from miho.data import load_csv, load_mat
-from miho.models import FmuModel, Pacejka, load_function, load_trajectory
+from miho.models import FmuModel, load_function, load_trajectory
 from miho.models.identified import read_parameters
-from miho.models.tir import load_tir
 from miho.parallel import Journal, calls_of
 from miho.regular_file import NotAFileError, check_regular, read_regular
+from miho.vehicle.models import Pacejka
+from miho.vehicle.models.tir import load_tir
 
 READERS: dict[str, Callable[[str], object]] = {
     "csv": lambda path: load_csv(path, ["alpha", "Fy"], ["rad", "N"], "Fy"),

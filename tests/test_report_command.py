@@ -19,10 +19,10 @@ from experiments.app.optimum import OTHER_METHODS, descents_of, remedy, report_o
 from experiments.app.run_text import _ending, result_text
 from experiments.app.schema import register
 from miho.analysis.pages.run import report_folder
-from miho.models import Pacejka
 from miho.models.identified import read_parameters
 from miho.optim import Descents
 from miho.study import StoredRun, load_runs, read_run
+from miho.vehicle.models import Pacejka
 from tests.analysis.sweep_synthetic import embedded
 
 register()

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import AskTell, Budget, Optimizer, Oracle, Space, minimize
-from miho.models import Model, Pacejka
+from miho.models import Model
 from miho.testing import (
     CHECKS,
     ConformanceError,
@@ -21,6 +21,7 @@ from miho.testing import (
     check_optimizer,
     run_check,
 )
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 

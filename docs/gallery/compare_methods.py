@@ -12,7 +12,7 @@ import numpy as np
 
 import miho
 from miho.methods import PSO, DifferentialEvolution, LeastSquares
-from miho.models import Pacejka
+from miho.vehicle.models import Pacejka
 
 rng = np.random.default_rng(18)
 alpha = rng.uniform(-0.2, 0.2, 300)

@@ -11,9 +11,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import miho
-from miho.data import simulated_axle_drive
-from miho.data.synthetic_handling import AXLES
-from miho.models import Pacejka
+from miho.vehicle.data import simulated_axle_drive
+from miho.vehicle.data.synthetic_handling import AXLES
+from miho.vehicle.models import Pacejka
 
 car = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}  # kg, m, m, kg m^2
 data = simulated_axle_drive(car, "front", seed=0)

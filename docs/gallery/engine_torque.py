@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import miho
-from miho.models import TorqueCubic
+from miho.vehicle.models import TorqueCubic
 
 RPM = np.pi / 30  # rad/s
 rng = np.random.default_rng(1)

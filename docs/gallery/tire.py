@@ -8,7 +8,7 @@ and no starting point is needed. The 400 samples are simulated (seed 0), with no
 import numpy as np
 
 import miho
-from miho.models import Pacejka
+from miho.vehicle.models import Pacejka
 
 rng = np.random.default_rng(0)
 alpha = rng.uniform(-0.2, 0.2, 400)  # slip angle [rad]

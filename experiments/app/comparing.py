@@ -23,8 +23,8 @@ from experiments.app.console import OK, SOME_FAILED
 from experiments.app.instantiation import MissingLibraryError
 from experiments.app.plan import Request, requests
 from experiments.app.working import State
-from miho.data import DataUnavailableError
 from miho.study import Status
+from miho.vehicle.data import DataUnavailableError
 
 
 def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], str]:

@@ -34,15 +34,16 @@ from experiments.app.explain import (
 from experiments.app.help import completion, help_text
 from experiments.app.safety import ReceivedError, SecretError, check_folder, check_typed
 from experiments.app.signals import Stopped, name_of, stopping_signal
-from miho.data import CSVError, DataUnavailableError
-from miho.driving.compiling import MissingNumbaError
-from miho.models import TirError
+from miho.data import CSVError
 from miho.parallel.cluster import ClusterError
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.regular_file import NotAFileError
 from miho.study import DamagedRun
 from miho.study.changes import ResumeRefused
 from miho.study.redaction import redacted
+from miho.vehicle.data import DataUnavailableError
+from miho.vehicle.driving.compiling import MissingNumbaError
+from miho.vehicle.models import TirError
 
 tqdm.set_lock(threading.RLock())
 """tqdm needs only a lock between threads; its default, a semaphore of the system, remains after a

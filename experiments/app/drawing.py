@@ -24,11 +24,11 @@ from miho.analysis.figures.paper import AxleCurve, fig4_right
 from miho.analysis.timing import clock_of
 from miho.analysis.variants import named_apart
 from miho.data import Dataset
-from miho.driving.assembly.engine import DATASETS, engine_of, fig5_data
-from miho.models import Axle
 from miho.study import StoredRun, load_runs, read_run
 from miho.study.manifest import missing_runs, sweep_overrides
 from miho.study.provenance import IDENTITY, command_line, write_provenance
+from miho.vehicle.driving.assembly.engine import DATASETS, engine_of, fig5_data
+from miho.vehicle.models import Axle
 
 TIRES = ("lf", "rf", "lr", "rr")
 HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])

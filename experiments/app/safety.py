@@ -28,18 +28,21 @@ import miho.identification
 import miho.methods
 import miho.models
 import miho.optim
+import miho.vehicle.data
+import miho.vehicle.models
 from experiments.app.explain import ConfigError
 from miho.data import Dataset
 from miho.identification import Loss
 from miho.models import Model
+from miho.moved import new_name
 from miho.optim import AskTell, Optimizer
 from miho.study.redaction import holds_secret, names_secret, redacted
 
 T = TypeVar("T")
 
 HOMES: Mapping[type, tuple[ModuleType, ...]] = {
-    Model: (miho.models,),
-    Dataset: (miho.data,),
+    Model: (miho.models, miho.vehicle.models),
+    Dataset: (miho.data, miho.vehicle.data),
     Loss: (miho.identification,),
     Optimizer: (miho.optim, miho.methods),
 }
@@ -59,10 +62,12 @@ def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     """Class or function at a dotted path that makes a `kind`.
 
     Allowed are the public names of our packages and the methods in `baselines`, including the names
-    from `miho.methods`; the source is read, and only an allowed target is imported. Raises
-    TargetError for other paths, and ImportError if the library that a method wraps is missing.
+    from `miho.methods`, and former names of these; the source is read, and only an allowed target
+    is imported. Raises TargetError for other paths, and ImportError if the library that a method
+    wraps is missing.
     """
-    home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
+    present = (new_name(path) or path) if isinstance(path, str) else ""
+    home, _, name = present.rpartition(".")
     for package in HOMES[kind]:
         if home == package.__name__ and name in _public(package, kind):
             return cast(Callable[..., T], getattr(package, name))

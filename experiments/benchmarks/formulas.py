@@ -30,15 +30,15 @@ from experiments.benchmarks.bars import (
     shown,
 )
 from miho.core import Tape, machine
-from miho.data import embedded_tire
-from miho.models import Pacejka, PacejkaCurvature, load_tir
 from miho.models.expression import Expression
 from miho.models.formula_tape import traced_tapes
 from miho.models.function_model import FunctionModel
-from miho.models.lateral_magic_formula import COEFFICIENTS
 from miho.models.published import FORMS, PublishedModel
-from miho.models.tire_formula import TireFormula
 from miho.quantities import Array
+from miho.vehicle.data import embedded_tire
+from miho.vehicle.models import Pacejka, PacejkaCurvature, load_tir
+from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
+from miho.vehicle.models.tire_formula import TireFormula
 
 ROWS, MORE_ROWS = 3000, (300, 30_000)
 REPEATS = 7

@@ -23,7 +23,7 @@ from experiments.benchmarks.bars import (
 )
 from miho.analysis.figures.benchmark import loss_figure
 from miho.compiled import taped_loss
-from miho.models import Pacejka
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 

@@ -26,9 +26,10 @@ from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
 from miho.analysis.figures.benchmark import run_figure
 from miho.identification import CurveFit
-from miho.models import Model, Pacejka
+from miho.models import Model
 from miho.optim import MIHO, Problem, RunRecord, Space, hyperband_table, minimize
 from miho.optim.seeds import stream
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from omegaconf import OmegaConf
 from experiments.app.compose import CONF
 from experiments.app.console import BUG, run_and_exit
 from experiments.benchmarks.bars import machine
-from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.driving.embedded import embedded_engine, embedded_tires
-from miho.driving.known_car import KnownCar
-from miho.driving.ovals import lvms
-from miho.driving.vehicle import Vehicle
 from miho.study import single_thread
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving.embedded import embedded_engine, embedded_tires
+from miho.vehicle.driving.known_car import KnownCar
+from miho.vehicle.driving.ovals import lvms
+from miho.vehicle.driving.vehicle import Vehicle
 
 BAR = 0.05
 """Seconds."""

@@ -24,18 +24,18 @@ from omegaconf import OmegaConf
 from experiments.app.compose import CONF
 from experiments.app.console import BUG, OK, run_and_exit
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine
-from miho.driving.double_track import DoubleTrack
-from miho.driving.driver import Driver
-from miho.driving.embedded import embedded_plant
-from miho.driving.known_car import KnownCar
-from miho.driving.multi_body import MultiBody
-from miho.driving.ovals import ims
-from miho.driving.path_tracking import Weights
-from miho.driving.plant import Command, Motion, Plant, State
-from miho.driving.road import road_of
-from miho.driving.simulation import simulate
-from miho.driving.vehicle import Vehicle
 from miho.study import single_thread
+from miho.vehicle.driving.double_track import DoubleTrack
+from miho.vehicle.driving.driver import Driver
+from miho.vehicle.driving.embedded import embedded_plant
+from miho.vehicle.driving.known_car import KnownCar
+from miho.vehicle.driving.multi_body import MultiBody
+from miho.vehicle.driving.ovals import ims
+from miho.vehicle.driving.path_tracking import Weights
+from miho.vehicle.driving.plant import Command, Motion, Plant, State
+from miho.vehicle.driving.road import road_of
+from miho.vehicle.driving.simulation import simulate
+from miho.vehicle.driving.vehicle import Vehicle
 
 PERIOD = 0.01
 CRUISE = Command(0.005, 0.3, 0.0, 4)

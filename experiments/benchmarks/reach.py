@@ -65,11 +65,11 @@ from experiments.benchmarks.reach_tables import (
     stopping_table,
 )
 from miho.analysis.compare.running_time import FACTORS
-from miho.data import DataUnavailableError
 from miho.identification import CurveFit
 from miho.optim import Budget, Optimizer, Space, minimize
 from miho.optim.minimize import Outcome
 from miho.study import environment_stamp, single_thread, write_text
+from miho.vehicle.data import DataUnavailableError
 
 DEFAULT = "as it is"
 BUDGET = ("budget.evaluations=40000", "budget.seconds=null")

@@ -23,10 +23,11 @@ import pandas as pd
 
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
 from miho.analysis.figures.benchmark import sensitivity_figure
-from miho.data import steering_test
-from miho.models import Model, single_track_response
+from miho.models import Model
 from miho.models.model import central_differences
 from miho.quantities import Array
+from miho.vehicle.data import steering_test
+from miho.vehicle.models import single_track_response
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
 THETA = np.array([18.0, 1.5, 5500.0, 18.0, 1.5, 8000.0, 850.0])

@@ -16,9 +16,9 @@ import numpy as np
 from experiments.app.build import build_problem
 from experiments.app.compose import composed
 from experiments.app.schema import register
-from miho.data.synthetic_steering import manoeuvre
 from miho.models import Trajectory
 from miho.quantities import Array
+from miho.vehicle.data.synthetic_steering import manoeuvre
 
 DRAWS = 512
 DURATION = 6.0

@@ -23,12 +23,13 @@ from experiments.app.compose import composed
 from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from experiments.check import reference_data
-from miho.data import Dataset, DrivingLog, load_driving_log
-from miho.data.braking_samples import braking_samples
+from miho.data import Dataset
 from miho.data.csv import read_numbers
-from miho.data.synthetic_brake import DRAG, EMBEDDED_BRAKE, MASS, RESISTANCE
-from miho.models import Brake, BrakeDeceleration
 from miho.optim import minimize
+from miho.vehicle.data import DrivingLog, load_driving_log
+from miho.vehicle.data.braking_samples import braking_samples
+from miho.vehicle.data.synthetic_brake import DRAG, EMBEDDED_BRAKE, MASS, RESISTANCE
+from miho.vehicle.models import Brake, BrakeDeceleration
 
 Array = NDArray[np.float64]
 

@@ -43,9 +43,10 @@ import miho
 from miho.data import Dataset
 from miho.identification import CurveFit, Report, linearised, make_report
 from miho.identification.refit import refit
-from miho.models import Model, Pacejka
+from miho.models import Model
 from miho.optim import Parameter, Space
 from miho.optim.seeds import stream
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from experiments.check import reference_data
 from experiments.driving.car import identified_engine
-from miho.data.synthetic_engine import true_torque
-from miho.driving.assembly.engine import IdentifiedEngine, truth_error
-from miho.models import EngineMap, TorqueCubic
-from miho.models.engine import RPM
+from miho.vehicle.data.synthetic_engine import true_torque
+from miho.vehicle.driving.assembly.engine import IdentifiedEngine, truth_error
+from miho.vehicle.models import EngineMap, TorqueCubic
+from miho.vehicle.models.engine import RPM
 
 Array = NDArray[np.float64]
 

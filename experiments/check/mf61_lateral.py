@@ -25,9 +25,11 @@ from experiments.app.build import build, build_space
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.check import reference_data
-from miho.data import embedded_tire, sample_axle, sample_lateral
 from miho.identification import CurveFit
-from miho.models import (
+from miho.models.model import central_differences
+from miho.optim import Budget, Space, minimize
+from miho.vehicle.data import embedded_tire, sample_axle, sample_lateral
+from miho.vehicle.models import (
     LateralMagicFormula,
     Pacejka,
     central_stiffness,
@@ -38,11 +40,9 @@ from miho.models import (
     simplify,
     write_tir,
 )
-from miho.models.lateral_magic_formula import COEFFICIENTS
-from miho.models.magic_formula import MagicFormula
-from miho.models.model import central_differences
-from miho.models.simplified_tire import SLIP
-from miho.optim import Budget, Space, minimize
+from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
+from miho.vehicle.models.magic_formula import MagicFormula
+from miho.vehicle.models.simplified_tire import SLIP
 
 Array = NDArray[np.float64]
 

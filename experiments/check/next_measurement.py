@@ -22,8 +22,8 @@ from experiments.check.coverage import NOISE, SPACE, TRUTH
 from miho.data import Dataset
 from miho.identification import CurveFit, make_report, optimal_design
 from miho.identification.refit import refit
-from miho.models import Pacejka
 from miho.optim.seeds import stream
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 

@@ -28,13 +28,13 @@ from experiments.app.origin import regenerates
 from experiments.app.schema import register
 from experiments.driving.car import known_car
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
-from miho.driving.driver import Driver
-from miho.driving.load_transfer import LoadTransfer
-from miho.driving.outcome import Clearance, departure, true_use
-from miho.driving.simulation import Drive
-from miho.driving.velocity_as_printed import PrintedPlanner
 from miho.quantities import g
 from miho.study import write_text
+from miho.vehicle.driving.driver import Driver
+from miho.vehicle.driving.load_transfer import LoadTransfer
+from miho.vehicle.driving.outcome import Clearance, departure, true_use
+from miho.vehicle.driving.simulation import Drive
+from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 
 TESTS = ("ims_obstacle", "lvms_laps")
 SETTINGS = ("root=runs/printed_equations", "drive.known=truth")

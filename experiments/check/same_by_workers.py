@@ -28,7 +28,7 @@ from experiments.check.coverage import SPACE, TRUTH
 from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.methods import PSO, DifferentialEvolution, LeastSquares
-from miho.models import FunctionModel, Model, Pacejka
+from miho.models import FunctionModel, Model
 from miho.models.joint import PART, JointModel, JointPart
 from miho.optim import (
     MIHO,
@@ -46,6 +46,7 @@ from miho.optim import (
 from miho.optim.problem import mean_square
 from miho.optim.seeds import stream
 from miho.parallel.process_executor import ProcessExecutor
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 

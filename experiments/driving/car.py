@@ -16,17 +16,17 @@ from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import HERE, run
 from experiments.app.schema import SweepConfig, register
-from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.driving.assembly.bench import TIRES, assembled
-from miho.driving.assembly.engine import DATASETS, IdentifiedEngine, engine_of
-from miho.driving.embedded import embedded_engine, embedded_tires
-from miho.driving.known_car import KnownCar
-from miho.driving.vehicle import Vehicle
 from miho.identification import CurveFit
 from miho.identification.parameters_file import identified_at
 from miho.models import read_parameters
 from miho.models.identified import parameters_text
 from miho.study import write_text
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving.assembly.bench import TIRES, assembled
+from miho.vehicle.driving.assembly.engine import DATASETS, IdentifiedEngine, engine_of
+from miho.vehicle.driving.embedded import embedded_engine, embedded_tires
+from miho.vehicle.driving.known_car import KnownCar
+from miho.vehicle.driving.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 

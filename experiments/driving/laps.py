@@ -15,26 +15,26 @@ from experiments.app.build import build_optimizer, build_space, plain
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.driving.settings import driver_of, track_and_vehicle
-from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.driving.assembly.from_drives import (
+from miho.optim import Budget, Optimizer, Space
+from miho.study import single_thread, write_text
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving.assembly.from_drives import (
     HIGH_OPENINGS,
     LOW_OPENINGS,
     SPACES,
     identify_parts,
     problems_of,
 )
-from miho.driving.assembly.from_files import Wrong, known_from
-from miho.driving.driver import Driver
-from miho.driving.embedded import embedded_engine, embedded_plant, embedded_tires
-from miho.driving.known_car import KnownCar
-from miho.driving.outcome import true_use
-from miho.driving.proving_ground import Recording, perform, programme
-from miho.driving.road import road_of
-from miho.driving.sensors import Sensors
-from miho.driving.simulation import Drive, simulate
-from miho.driving.vehicle import Vehicle
-from miho.optim import Budget, Optimizer, Space
-from miho.study import single_thread, write_text
+from miho.vehicle.driving.assembly.from_files import Wrong, known_from
+from miho.vehicle.driving.driver import Driver
+from miho.vehicle.driving.embedded import embedded_engine, embedded_plant, embedded_tires
+from miho.vehicle.driving.known_car import KnownCar
+from miho.vehicle.driving.outcome import true_use
+from miho.vehicle.driving.proving_ground import Recording, perform, programme
+from miho.vehicle.driving.road import road_of
+from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.simulation import Drive, simulate
+from miho.vehicle.driving.vehicle import Vehicle
 
 LAPS = "laps.json"
 PART = (0.4, 0.95)

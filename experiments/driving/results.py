@@ -15,8 +15,9 @@ from experiments.driving.car import Parts
 from experiments.driving.settings import factors_text
 from miho.analysis import save
 from miho.analysis.figures.driving import fig7, fig8
-from miho.driving.driver import Driver
-from miho.driving.outcome import (
+from miho.study import write_text
+from miho.vehicle.driving.driver import Driver
+from miho.vehicle.driving.outcome import (
     Clearance,
     Departure,
     departure,
@@ -26,9 +27,8 @@ from miho.driving.outcome import (
     plans,
     speed_bands,
 )
-from miho.driving.simulation import Drive
-from miho.driving.track import Track
-from miho.study import write_text
+from miho.vehicle.driving.simulation import Drive
+from miho.vehicle.driving.track import Track
 
 
 def write_drive(

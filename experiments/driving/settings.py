@@ -13,23 +13,23 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app.build import ConfigError
 from experiments.app.schema import RENAMED, DriveConfig
 from miho.data import CSVError
-from miho.driving.centre_line import track_from_csv
-from miho.driving.driver import Driver, Pace, Sighting, SlowZone
-from miho.driving.embedded import embedded_plant
-from miho.driving.known_car import KnownCar
-from miho.driving.lines import beside, constant
-from miho.driving.local_plan import LocalPlanner, Obstacle
-from miho.driving.ovals import ims, lvms
-from miho.driving.path_tracking import Weights
-from miho.driving.road import road_of
-from miho.driving.sensors import Sensors
-from miho.driving.simulation import Drive, simulate
-from miho.driving.speed_control import SpeedSettings
-from miho.driving.steering_as_printed import PrintedSteering
-from miho.driving.steering_control import SteeringController
-from miho.driving.track import Track
-from miho.driving.vehicle import Vehicle
-from miho.driving.velocity_as_printed import PrintedPlanner
+from miho.vehicle.driving.centre_line import track_from_csv
+from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
+from miho.vehicle.driving.embedded import embedded_plant
+from miho.vehicle.driving.known_car import KnownCar
+from miho.vehicle.driving.lines import beside, constant
+from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
+from miho.vehicle.driving.ovals import ims, lvms
+from miho.vehicle.driving.path_tracking import Weights
+from miho.vehicle.driving.road import road_of
+from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.simulation import Drive, simulate
+from miho.vehicle.driving.speed_control import SpeedSettings
+from miho.vehicle.driving.steering_as_printed import PrintedSteering
+from miho.vehicle.driving.steering_control import SteeringController
+from miho.vehicle.driving.track import Track
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 
 OVALS = {"ims": ims, "lvms": lvms}
 FACTORS = {

@@ -37,12 +37,12 @@ from miho.identification.stated import (
 from miho.identification.uncertainty import Linearised, alike_beside_priors, linearised
 from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
-from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
 from miho.optim import Descents, Minimum, in_optimum
 from miho.parallel.remote import Raised
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
+from miho.vehicle.models.tire_formula import TireFormula
 
 if TYPE_CHECKING:
     import pandas as pd

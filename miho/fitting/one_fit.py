@@ -29,13 +29,13 @@ from miho.identification.curve_fit_checks import ties_of
 from miho.identification.loss import Loss
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
-from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.optim import Budget, Optimizer, Space
 from miho.optim.gauss_newton_descent import descended as descended_by_machine
 from miho.parallel import Evaluations, Workers
 from miho.quantities import Array
+from miho.vehicle.models.magic_formula import MagicFormula
 
 EDGE = 1e-6
 """A value closer than this share of a range to one of its ends counts as at the edge."""

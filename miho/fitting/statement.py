@@ -19,10 +19,10 @@ from miho.data.conventions import to_iso_w
 from miho.data.dataset import Dataset
 from miho.data.measurements import Layout
 from miho.models.function_model import FunctionModel
-from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
-from miho.models.tire_formula import TireFormula, is_coefficient, tire_formula
 from miho.optim import Parameter, Space
+from miho.vehicle.models.magic_formula import MagicFormula
+from miho.vehicle.models.tire_formula import TireFormula, is_coefficient, tire_formula
 
 FAR = 1e6
 """The search range of a parameter without bounds: this multiple of its start on either side."""
@@ -116,7 +116,7 @@ def data_of(
     if isinstance(model, MagicFormula):
         raise ValueError(
             "the model is a tire; expected its free coefficients as well, for example "
-            'miho.models.TireFormula(tire, ("PDY1", "PKY1"), "Fy")'
+            'miho.vehicle.models.TireFormula(tire, ("PDY1", "PKY1"), "Fy")'
         )
     if not isinstance(model, Model):
         if not callable(model):

@@ -1,6 +1,6 @@
 """`parameters.json`: an identified model with uncertainty, range of validity and provenance.
 
-The file transfers identified models to the simulation of the car (`miho.driving`).
+The file transfers identified models to the simulation of the car (`miho.vehicle.driving`).
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ def origin(
     **environment: object,
 ) -> Origin:  # fmt: skip
     leaves = {
-        "model": {"_target_": "miho.models.Pacejka"},
-        "dataset": {"_target_": "miho.data.sample_tir"},
+        "model": {"_target_": "miho.vehicle.models.Pacejka"},
+        "dataset": {"_target_": "miho.vehicle.data.sample_tir"},
         "loss": {"_target_": "miho.identification.Square"},
         **(config or {}),
     }

@@ -16,11 +16,11 @@ from miho.analysis import save_report, save_sweep_page
 from miho.data import Dataset
 from miho.identification import make_report
 from miho.methods import LeastSquares
-from miho.models import Pacejka
 from miho.models.identified import read_parameters
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, execute
 from miho.testing import DecayFit
+from miho.vehicle.models import Pacejka
 
 
 def test_every_name_is_there_and_no_other() -> None:

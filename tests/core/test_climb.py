@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from miho.compiled import Steps
 from miho.core import Instruction, Tape, machine
-from miho.models import Pacejka
 from miho.models.formula_tape import tape_of
 from miho.models.symbolic import argument, trace
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.skipif(machine() is None, reason="the machine was not built")

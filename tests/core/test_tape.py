@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 import miho.core.tape
 from miho.core import OPERATIONS, Instruction, Tape, TapeError, machine
 from miho.core.tape import WITH_SCALAR
-from miho.models import Pacejka
 from miho.models.expression import Expression
 from miho.models.formula_tape import tape_of
 from miho.models.published import FORMS, PublishedModel
 from miho.models.symbolic import argument, gradient, trace
+from miho.vehicle.models import Pacejka
 
 Array = NDArray[np.float64]
 needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")

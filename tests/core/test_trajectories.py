@@ -13,9 +13,10 @@ from scipy.integrate import solve_ivp
 
 from miho.compiled.course import Course
 from miho.core import machine
-from miho.models import Trajectory, single_track_drive, single_track_response, taped_equations
+from miho.models import Trajectory, taped_equations
 from miho.models.integration import Sensitivities, Values, along, runge_kutta
 from miho.models.taped_equations import TapedEquations
+from miho.vehicle.models import single_track_drive, single_track_response
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.skipif(machine() is None, reason="the machine was not built")

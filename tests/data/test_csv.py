@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
-from miho.data import CSVError, embedded_tire, load_csv, sample_tir
+from miho.data import CSVError, load_csv
 from miho.data.csv import BLOCK, TextFormat, read_numbers
 from miho.data.measurements import PLAUSIBLE
 from miho.data.preview import preview
 from miho.methods.least_squares import LeastSquares
-from miho.models import Pacejka, load_tir
+from miho.vehicle.data import embedded_tire, sample_tir
+from miho.vehicle.models import Pacejka, load_tir
 
 
 def file(tmp_path: Path, data: str | bytes) -> Path:

@@ -14,10 +14,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from miho.data import CSVError, Dataset, load_csv, sample_tir
-from miho.data.tir_sampling import embedded_tire
-from miho.models.tir import load_tir
-from miho.models.tir_reader import TirError, read_tir
+from miho.data import CSVError, Dataset, load_csv
+from miho.vehicle.data import sample_tir
+from miho.vehicle.data.tir_sampling import embedded_tire
+from miho.vehicle.models.tir import load_tir
+from miho.vehicle.models.tir_reader import TirError, read_tir
 
 COLUMNS = ["alpha", "Fy", "Fz"]
 TIRE = sample_tir("lf", n=12)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from miho.data import Dataset, load_mat, sample_tir
+from miho.data import Dataset, load_mat
 from miho.data.mat import read_variables
+from miho.vehicle.data import sample_tir
 from tests.faults.hostile_files import flip_bits, mat_bomb
 
 TIRE = sample_tir("rf", n=300)

@@ -24,8 +24,8 @@ from experiments.check import (
     row_order,
 )
 from experiments.driving.car import identified_engine
-from miho.data import embedded_tire
 from miho.study import single_thread
+from miho.vehicle.data import embedded_tire
 
 pytestmark = pytest.mark.slow
 

@@ -24,10 +24,13 @@ from experiments.driving.laps import (
 )
 from experiments.driving.study import check_study
 from miho.data import Dataset
-from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.data.synthetic_engine import true_torque
-from miho.driving import Sensors, embedded_plant
-from miho.driving.assembly.from_drives import (
+from miho.methods.least_squares import LeastSquares
+from miho.models import read_parameters
+from miho.optim import Budget
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.data.synthetic_engine import true_torque
+from miho.vehicle.driving import Sensors, embedded_plant
+from miho.vehicle.driving.assembly.from_drives import (
     LOW_OPENINGS,
     identify_parts,
     joined,
@@ -35,14 +38,12 @@ from miho.driving.assembly.from_drives import (
     part_of,
     problems_of,
 )
-from miho.driving.assembly.from_files import Wrong, engine_from, known_from
-from miho.driving.embedded import embedded_tires
-from miho.driving.proving_ground import perform, programme
-from miho.methods.least_squares import LeastSquares
-from miho.models import Pacejka, read_parameters
-from miho.models.engine import RPM
-from miho.optim import Budget
-from tests.driving.cars import car
+from miho.vehicle.driving.assembly.from_files import Wrong, engine_from, known_from
+from miho.vehicle.driving.embedded import embedded_tires
+from miho.vehicle.driving.proving_ground import perform, programme
+from miho.vehicle.models import Pacejka
+from miho.vehicle.models.engine import RPM
+from tests.vehicle.driving.cars import car
 
 register()
 AV21 = car().vehicle
@@ -183,9 +184,9 @@ def test_a_seed_gives_the_same_rows_again(tmp_path: Path) -> None:
 def test_the_code_of_a_drive_is_all_that_it_uses_and_no_plumbing() -> None:
     used = DRIVING_SOURCES.closure([*DRIVING, LeastSquares.__module__])
     for module in (
-        "experiments.driving.settings", "experiments.driving.laps", "miho.driving.simulation",
-        "miho.driving.assembly.from_files", "miho.methods.least_squares", "miho.models.engine_map",
-        "miho.optim.minimize",
+        "experiments.driving.settings", "experiments.driving.laps",
+        "miho.vehicle.driving.simulation", "miho.vehicle.driving.assembly.from_files",
+        "miho.methods.least_squares", "miho.vehicle.models.engine_map", "miho.optim.minimize",
     ):  # fmt: skip
         assert module in used
     assert not [

@@ -184,7 +184,10 @@ def test_the_tires_of_the_front_axle_are_two_parts_of_one_problem() -> None:
             r"parts\.left\.model\._target_: 'os\.system' is not a class",
         ),
         (
-            ["problem.parts.T={dataset: {_target_: miho.data.load_engine_drive, throttle: 0.2}}"],
+            [
+                "problem.parts.T={dataset: {_target_: miho.vehicle.data.load_engine_drive, "
+                "throttle: 0.2}}"
+            ],
             "dataset torque_20: no column 'alpha'",
         ),
     ],

@@ -15,7 +15,7 @@ from experiments.app.next_measurement import _without_formulas
 from experiments.app.schema import register
 from experiments.check import next_measurement
 from miho.data.csv import CSVError, TextFormat, TextTable
-from miho.models import Pacejka
+from miho.vehicle.models import Pacejka
 
 register()
 

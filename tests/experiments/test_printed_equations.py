@@ -10,7 +10,7 @@ from experiments.app.schema import register
 from experiments.check.printed_equations import VARIANTS, results, rows_of
 from experiments.driving.car import known_car
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
-from miho.driving.outcome import Clearance
+from miho.vehicle.driving.outcome import Clearance
 
 register()
 TRUTH = "drive.known=truth"

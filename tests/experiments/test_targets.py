@@ -13,8 +13,9 @@ from experiments.app.build import ConfigError
 from experiments.app.instantiation import instantiate
 from experiments.app.safety import HOMES, TargetError, allowed, find_target, nested_target
 from miho.data import Dataset
-from miho.models import Model, Pacejka
+from miho.models import Model
 from miho.optim import Optimizer
+from miho.vehicle.models import Pacejka
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -28,7 +29,8 @@ def test_every_target_in_conf_is_allowed() -> None:
 
 
 def test_what_is_allowed_is_found() -> None:
-    assert find_target("miho.models.Pacejka", Model) is Pacejka
+    assert find_target("miho.vehicle.models.Pacejka", Model) is Pacejka
+    assert find_target("miho.models.Pacejka", Model) is Pacejka, "the name in older stored runs"
     for name in allowed(Dataset):
         assert callable(find_target(name, Dataset))
 
@@ -36,9 +38,11 @@ def test_what_is_allowed_is_found() -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        "miho.models.tire.Pacejka", "miho.models.Model", "miho.models.TirError", "miho.optim.MIHO",
-        "miho.models.Pacejka ", "miho.models.__all__", "baselines.pso.PSO", "Pacejka", "", None, 3,
-        ["miho.models.Pacejka"], {"_target_": "miho.models.Pacejka"}, "x" * 10_000,
+        "miho.vehicle.models.tire.Pacejka", "miho.models.tire.Pacejka", "miho.models.tire",
+        "miho.models.Model", "miho.vehicle.models.TirError", "miho.optim.MIHO", "miho.models.",
+        "miho.vehicle.models.Pacejka ", "miho.models.__all__", "baselines.pso.PSO", "Pacejka", "",
+        None, 3,
+        ["miho.vehicle.models.Pacejka"], {"_target_": "miho.vehicle.models.Pacejka"}, "x" * 10_000,
     ],
 )  # fmt: skip
 def test_anything_else_is_refused_in_one_line(path: object) -> None:
@@ -78,7 +82,11 @@ def test_the_list_is_read_without_importing_a_method() -> None:
 
 
 def test_a_target_inside_of_a_setting_is_refused() -> None:
-    node = {"_target_": "miho.data.sample_tir", "tire": "lf", "ranges": {"Fz": [{"_target_": "x"}]}}
+    node = {
+        "_target_": "miho.vehicle.data.sample_tir",
+        "tire": "lf",
+        "ranges": {"Fz": [{"_target_": "x"}]},
+    }
     with pytest.raises(
         ConfigError, match=r"dataset.ranges.Fz\[0\]._target_: a target is not allowed"
     ):

@@ -20,11 +20,11 @@ from scipy.io import savemat
 
 from miho.data import load_csv, load_mat
 from miho.data.mat import read_variables
-from miho.models import load_tir
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store, execute, load_runs
 from miho.study.identity import canonical, sha256
 from miho.testing import DecayFit
+from miho.vehicle.models import load_tir
 
 COLUMNS, UNITS = ("alpha", "Fy"), ("rad", "N")
 

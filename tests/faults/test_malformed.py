@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from miho.data import CSVError, load_csv
-from miho.data.tir_sampling import embedded_tire
-from miho.models import TirError
-from miho.models.tir import load_tir
-from miho.models.tir_reader import read_tir
+from miho.vehicle.data.tir_sampling import embedded_tire
+from miho.vehicle.models import TirError
+from miho.vehicle.models.tir import load_tir
+from miho.vehicle.models.tir_reader import read_tir
 from tests.faults.conftest import Figures
 from tests.faults.hostile_files import LARGE, RESULTS, refuse_large, survive_results
 

@@ -17,11 +17,12 @@ from experiments.app.console import BAD_INPUT
 from miho import load_runs
 from miho.analysis.export import write_csv
 from miho.data import load_csv, load_mat
-from miho.models import Pacejka, load_function, load_tir, read_parameters
+from miho.models import load_function, read_parameters
 from miho.models.identified import Identified, UncheckedWarning, Value, parameters_text
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store, execute
 from miho.testing import DecayFit
+from miho.vehicle.models import Pacejka, load_tir
 from tests.faults.commands import identified, prepare
 from tests.faults.conftest import Figures
 from tests.faults.hostile_files import flip_bits

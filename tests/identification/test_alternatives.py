@@ -20,9 +20,9 @@ from miho.identification.alternatives import (
 from miho.identification.bootstrap import bootstrap
 from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import Refit, refit
-from miho.models import Pacejka
 from miho.optim import Descents, Minimum, Parameter, Space
 from miho.quantities import Array
+from miho.vehicle.models import Pacejka
 from tests.printed import flat
 
 LOWER, UPPER = np.array([3.799, 1.981, 1.0, 0.907]), np.array([5.329, 1.417, 1.0, 0.026])

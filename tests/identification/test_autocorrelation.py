@@ -11,7 +11,7 @@ import scipy.signal
 import scipy.special
 
 import miho
-from miho.data import Dataset, simulated_axle_drive
+from miho.data import Dataset
 from miho.identification import make_report
 from miho.identification.autocorrelation import (
     Autoregression,
@@ -23,9 +23,10 @@ from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import in_a_sweep
-from miho.models import Pacejka
 from miho.models.joint import PART
 from miho.optim import Space
+from miho.vehicle.data import simulated_axle_drive
+from miho.vehicle.models import Pacejka
 from tests.identification.published import Line, line
 
 Array = np.ndarray

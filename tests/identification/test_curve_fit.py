@@ -11,11 +11,11 @@ import pytest
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
 from miho.core import machine
 from miho.identification.loss import Cauchy, Huber, Loss, Square
-from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
 from miho.models.model import DifferencedModel, Model
 from miho.models.published import FORMS, PublishedModel
 from miho.optim import MIHOGN, BudgetExhausted
+from miho.vehicle.models import Pacejka, PacejkaCurvature, TorqueCubic
 from tests.identification import published
 
 needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")

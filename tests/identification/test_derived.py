@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import miho
-from miho.data import Dataset, sample_tir
+from miho.data import Dataset
 from miho.identification import CurveFit, linearised, make_report
 from miho.identification.derived import delta_method, derived
 from miho.identification.refit import refit
-from miho.models import Pacejka
 from miho.optim import Parameter, Space
+from miho.vehicle.data import sample_tir
+from miho.vehicle.models import Pacejka
 
 THETA = np.array([12.0, 1.7, 4000.0, -0.005, 150.0])
 SPACE = Space(

@@ -9,10 +9,10 @@ import pytest
 from miho import compare_models
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber, Report, make_report
-from miho.models import Pacejka
 from miho.models.model import Array, DifferencedModel, Model
-from miho.models.tire import PacejkaCurvature
 from miho.optim import Parameter, Space
+from miho.vehicle.models import Pacejka
+from miho.vehicle.models.tire import PacejkaCurvature
 from tests.identification.published import Line, puromycin
 from tests.printed import flat
 

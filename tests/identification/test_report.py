@@ -8,7 +8,7 @@ import pytest
 
 import miho
 from miho.analysis.pages.run_tables import derived_table, report_text
-from miho.data import Dataset, sample_tir
+from miho.data import Dataset
 from miho.identification import CurveFit, Huber, Report, make_report
 from miho.identification.bootstrap import bootstrap
 from miho.identification.refit import refit
@@ -19,8 +19,9 @@ from miho.identification.validation import (
     residual_trends,
     root_mean_square,
 )
-from miho.models import Pacejka
 from miho.optim import Space
+from miho.vehicle.data import sample_tir
+from miho.vehicle.models import Pacejka
 from tests.identification.published import Line, Misra1a, line, puromycin
 from tests.identification.published import problem as problem_of
 from tests.identification.test_derived import SPACE

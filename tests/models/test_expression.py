@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from miho.compiled.kernel import Formula
-from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
 from miho.testing import check_model
+from miho.vehicle.models import Pacejka, PacejkaCurvature, TorqueCubic
 
 
 @dataclass(frozen=True)

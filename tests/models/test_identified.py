@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from miho.models import Pacejka
 from miho.models.identified import (
     Identified,
     OutsideDataWarning,
@@ -20,6 +19,7 @@ from miho.models.identified import (
     read_parameters,
 )
 from miho.regular_file import NotAFileError
+from miho.vehicle.models import Pacejka
 
 UNITS = dict(Pacejka.parameters)
 THETA = dict(zip(UNITS, [12.0, 1.7, 4000.0, -0.005, 150.0], strict=True))
@@ -42,7 +42,7 @@ def identified(**changes: object) -> Identified:
 
 def test_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "parameters.json"
-    path.write_text(parameters_text(identified(), {"_target_": "miho.models.Pacejka"}))
+    path.write_text(parameters_text(identified(), {"_target_": "miho.vehicle.models.Pacejka"}))
     read_back = read_parameters(path, Pacejka())
     assert read_back.parameters == identified().parameters
     np.testing.assert_array_equal(read_back.correlation, np.eye(5))

@@ -10,9 +10,9 @@ from scipy.stats import t as student
 
 import miho
 from miho.identification.parameters_file import identified
-from miho.models import Pacejka
 from miho.models.model import central_differences
 from miho.models.tied import TiedModel, Ties, tie, whole_model
+from miho.vehicle.models import Pacejka
 
 ALPHA = np.linspace(-0.2, 0.2, 21)
 VALUES = {"B": 12.0, "C": 1.5, "D": 4000.0, "Sx": 0.003, "Sy": 10.0}

@@ -32,12 +32,12 @@ from miho.compiled import Block, Climb, Kernel, Rows, Steps
 from miho.compiled.kernel import Formula
 from miho.compiled.taped import TapedLoss
 from miho.core import machine
-from miho.models import TorqueCubic
 from miho.models.expression import Expression
 from miho.optim import AsynchronousMIHO, BudgetExhausted, Clock, Outcome, RunRecord
 from miho.optim.mutation import climb_of
 from miho.optim.schedule import hyperband_table
 from miho.optim.seeds import stream
+from miho.vehicle.models import TorqueCubic
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,6 @@ from scipy.optimize import lsq_linear, minimize_scalar
 from miho.core import machine
 from miho.data import Dataset
 from miho.identification import CurveFit
-from miho.models import TorqueCubic
 from miho.optim import (
     MIHOGN,
     Budget,
@@ -28,6 +27,7 @@ from miho.optim import (
     Trace,
     minimize,
 )
+from miho.vehicle.models import TorqueCubic
 from tests.optim.decays import Outside, fit
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from miho.compiled.kernel import Formula
 from miho.data import Dataset, load_published
 from miho.identification import CurveFit, linear_optimum
 from miho.identification.loss import Huber
-from miho.models import BrakePlay, FunctionModel
+from miho.models import FunctionModel
 from miho.models.expression import Expression
 from miho.models.published import PublishedModel
 from miho.optim import (
@@ -35,6 +35,7 @@ from miho.optim import (
 )
 from miho.optim.miho_gn_state import box_of, square_distances
 from miho.testing import CHECKS, DecayFit, check_optimizer
+from miho.vehicle.models import BrakePlay
 from tests.optim.decays import SPACE, Outside, fit
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from miho.study.closure import Sources
 
 PACKAGES = {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
 RUN = (
-    "miho.identification.curve_fit", "miho.optim.minimize", "miho.models.tire",
-    "miho.data.tir_sampling", "miho.methods.least_squares",
+    "miho.identification.curve_fit", "miho.optim.minimize", "miho.vehicle.models.tire",
+    "miho.vehicle.data.tir_sampling", "miho.methods.least_squares",
 )  # fmt: skip
 PART = ("miho.optim.minimize",)
 

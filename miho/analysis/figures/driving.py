@@ -42,7 +42,7 @@ def fig7(
     Parameters
     ----------
     log : DataFrame
-        The columns of `miho.driving.simulation.Drive`, and planned_use [-].
+        The columns of `miho.vehicle.driving.simulation.Drive`, and planned_use [-].
     obstacle : float, optional
         Time [s] when the car passes it, marked in all panels.
     departure : (float, str), optional
@@ -90,7 +90,7 @@ def fig8(
     Parameters
     ----------
     log : DataFrame
-        The columns of `miho.driving.simulation.Drive`.
+        The columns of `miho.vehicle.driving.simulation.Drive`.
     laps : list of float, optional
         Distances [m] of the starts of laps, marked in all panels.
     departure : (float, str), optional

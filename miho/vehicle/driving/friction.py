@@ -1,0 +1,154 @@
+"""Use of the tires' friction at a speed and acceleration on a curved and banked road.
+
+The half axes of an axle's friction ellipse are the sums of its tires' peaks at their loads. The
+lateral forces of the axles balance the yaw moment of a steady turn, so the weaker axle limits the
+car. Induced drag and aligning moments of the tires are neglected.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from miho.quantities import Array, g
+from miho.vehicle.driving.compiling import compiled, part
+from miho.vehicle.driving.grip import Grip
+from miho.vehicle.driving.load_transfer import LoadCoefficients, LoadTransfer, wheel_loads
+from miho.vehicle.driving.vehicle import Vehicle
+
+BISECTIONS = 40
+"""Number of bisections that reduce 100 m/s or m/s^2 to 1e-10."""
+
+
+class Demand(NamedTuple):
+    """Demand of a speed on a line, per mass [m/s^2].
+
+    lateral is the demand on the tires along the surface, positive to the left. gravity presses the
+    car on the surface.
+    """
+
+    lateral: Array
+    gravity: Array
+
+
+def demand(v: ArrayLike, curvature: ArrayLike, bank: ArrayLike) -> Demand:
+    """Return the demand at speeds [m/s], plan curvatures [1/m] and banks [rad], broadcast."""
+    turning = np.asarray(v, dtype=float) ** 2 * curvature
+    return Demand(
+        np.asarray(turning * np.cos(bank) - g * np.sin(bank)),
+        np.asarray(g * np.cos(bank) + turning * np.sin(bank)),
+    )
+
+
+class FrictionCar(NamedTuple):
+    """Numbers of a car for friction limits, in SI units; the arrays are fields of `Grip`."""
+
+    loads: LoadCoefficients
+    mass: float
+    front: float  # the front axle's share of the lateral force, l_r / L
+    brake_front: float  # the front axle's share of the brake force
+    C_d: float
+    C_r: float
+    mu: float
+    load: Array
+    left: Array
+    right: Array
+    drive: Array
+    q_y: Array
+    q_x: Array
+
+
+def friction_car(
+    vehicle: Vehicle, grip: Grip, mu: float = 1.0, brake_front: float = 0.5, rolling: bool = True
+) -> FrictionCar:
+    """Return the car for compiled functions, with drag and rolling resistance if `rolling`."""
+    return FrictionCar(
+        LoadTransfer(vehicle).coefficients, vehicle.mass, vehicle.lr / vehicle.wheelbase,
+        brake_front, vehicle.C_d if rolling else 0.0, vehicle.C_r if rolling else 0.0, mu,
+        grip.load, grip.left, grip.right, grip.drive, grip.lateral_sensitivity,
+        grip.longitudinal_sensitivity,
+    )  # fmt: skip
+
+
+@part
+def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity: float) -> float:
+    """Return the use of the friction ellipse by the worse axle; above 1 exceeds the limit.
+
+    ax is the acceleration along the road [m/s^2]; lateral and gravity are as in `Demand`.
+    """
+    force = car.mass * ax + car.C_d * v * v + car.C_r  # at the ground
+    Fz = wheel_loads(car.loads, v, force / car.mass, lateral, gravity)
+    peaks = car.left if lateral >= 0 else car.right
+    # Half axes of an axle's ellipse are the sums of its tires' peaks at their loads. Its share of
+    # the lateral force follows from the yaw moment, and of the longitudinal force from rear-wheel
+    # drive or the brake balance.
+    worst = 0.0
+    for axle in range(2):
+        most_y, most_x = 1e-9, 1e-9
+        for i in range(2 * axle, 2 * axle + 2):
+            ratio = Fz[i] / car.load[i]
+            most_y += car.mu * ratio * peaks[i] * max(1 + car.q_y[i] * (ratio - 1), 0.0)
+            most_x += car.mu * ratio * car.drive[i] * max(1 + car.q_x[i] * (ratio - 1), 0.0)
+        share_y = car.front if axle == 0 else 1 - car.front
+        share_x = float(axle)
+        if force < 0:
+            share_x = car.brake_front if axle == 0 else 1 - car.brake_front
+        use_y, use_x = share_y * car.mass * lateral / most_y, share_x * force / most_x
+        worst = max(worst, math.sqrt(use_y * use_y + use_x * use_x))
+    return worst
+
+
+@part
+def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]:
+    """Return lateral and gravity of `Demand` [m/s^2] at a single point, for compiled code."""
+    turning = v * v * curvature
+    lateral = turning * math.cos(bank) - g * math.sin(bank)
+    return lateral, g * math.cos(bank) + turning * math.sin(bank)
+
+
+@part
+def use_on_line(car: FrictionCar, v: float, ax: float, curvature: float, bank: float) -> float:
+    """Return the use of the friction ellipse at a curvature [1/m] and bank [rad]."""
+    lateral, gravity = point_demand(v, curvature, bank)
+    return float(friction_use(car, v, ax, lateral, gravity))
+
+
+@compiled
+def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
+    """Return the use of the friction ellipse, (n,), for measured accelerations.
+
+    ax and ay [m/s^2] are as in `miho.vehicle.driving.plant.Motion` and include drag. gravity
+    [m/s^2] presses the car on the road.
+    """
+    use = np.empty(v.size)
+    for i in range(v.size):
+        use[i] = friction_use(car, v[i], ax[i] - car.C_r / car.mass, ay[i], gravity[i])
+    return use
+
+
+@compiled
+def limits_and_use(
+    car: FrictionCar, v: Array, ax: Array, curvature: Array, bank: Array
+) -> tuple[Array, Array]:
+    """Return the limit of the lateral demand [m/s^2] and the use of friction, (n,) each.
+
+    The limit at speeds v [m/s] and accelerations ax [m/s^2] is the largest magnitude, in the
+    direction of the demand, with a use of at most 1.
+    """
+    limit, use = np.empty(v.size), np.empty(v.size)
+    for i in range(v.size):
+        lateral, gravity = point_demand(v[i], curvature[i], bank[i])
+        use[i] = friction_use(car, v[i], ax[i], lateral, gravity)
+        sign = 1.0 if lateral >= 0 else -1.0
+        low, high = 0.0, 100.0
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            if friction_use(car, v[i], ax[i], sign * middle, gravity) <= 1:
+                low = middle
+            else:
+                high = middle
+        limit[i] = low
+    return limit, use

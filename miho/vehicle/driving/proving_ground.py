@@ -1,0 +1,155 @@
+"""Manoeuvres for the identification of a car: weaves and constant pedals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
+
+import numpy as np
+
+from miho.validate import settings_at_least
+from miho.vehicle.data.driving_log import DrivingLog
+from miho.vehicle.driving.plant import Command, Motion, Plant
+from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.models.engine import RPM
+
+State = TypeVar("State")
+
+PERIOD = 0.01
+"""Time from one command, and sample, to the next [s]."""
+LEAD = 0.5
+"""Time of rolling before a pedal is pressed [s], so that a log shows the step."""
+MEASURED = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
+SLOWEST, FASTEST = 1500 * RPM, 6800 * RPM
+"""Range of engine speeds with a constant opening [rad/s]."""
+HELD_GEARS = (2, 3, 4)
+WEAVE_SPEEDS = (25.0, 35.0, 45.0)
+BRAKE_SPEEDS = (30.0, 60.0)
+BRAKE_PRESSURES = (0.5e6, 1.0e6, 1.5e6, 2.0e6, 3.0e6)
+SLIDING = 0.15
+"""Ratio of lateral to longitudinal speed [-] at which a manoeuvre ends, because the car spins."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manoeuvre:
+    """Open-loop driving on a plane, until the duration ends, the speed leaves a range, or a spin.
+
+    Parameters
+    ----------
+    speed : float
+        Initial speed [m/s].
+    gear : int
+        Gear, 0 for neutral.
+    duration : float
+        Largest duration [s].
+    within : tuple of float, optional
+        Range of the speed [m/s].
+    throttle, brake : float, optional
+        Opening and front pressure [Pa], constant after the first `LEAD` [s].
+    steering, frequency : float, optional
+        Final amplitude [rad] and frequency [Hz] of a sine of the steering. The amplitude rises
+        linearly from 0, and the throttle approximately keeps the speed.
+    """
+
+    speed: float
+    gear: int
+    duration: float
+    within: tuple[float, float] = (5.0, 90.0)
+    throttle: float = 0.0
+    brake: float = 0.0
+    steering: float = 0.0
+    frequency: float = 0.4
+
+    def __post_init__(self) -> None:
+        settings_at_least(self, [f.name for f in fields(self) if f.name != "within"], 0)
+        low, high = self.within
+        if not 0 < low <= self.speed <= high:
+            raise ValueError(f"speed is {self.speed} m/s; expected {low:g} to {high:g} m/s, within")
+
+    def command(self, t: float, vx: float) -> Command:
+        """Return the command at a time since the start [s] and a speed [m/s]."""
+        if self.steering > 0:
+            swing = self.steering * t / self.duration * math.sin(math.tau * self.frequency * t)
+            throttle = min(max(0.25 + 0.1 * (self.speed - vx), 0.0), 1.0)
+            return Command(swing, throttle, 0.0, self.gear)
+        pressed = t >= LEAD
+        return Command(0.0, self.throttle * pressed, self.brake * pressed, self.gear)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Motions without noise, and commands, of a driven manoeuvre, with a row per `PERIOD`."""
+
+    motions: tuple[Motion, ...]
+    commands: tuple[Command, ...]
+
+    def log(self, name: str, sensors: Sensors, rng: np.random.Generator) -> DrivingLog:
+        """Return the log of sensors, with noise from `rng`."""
+        rows = [sensors.measure(motion, rng) for motion in self.motions]
+        channels = {key: np.array([getattr(row, key) for row in rows], float) for key in MEASURED}
+        channels["time"] = PERIOD * np.arange(len(rows))
+        channels["brake"] = np.array([row.brake_pressure for row in rows])
+        channels["throttle"] = np.array([command.throttle for command in self.commands])
+        return DrivingLog(name, channels)
+
+
+def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:
+    """Drive a manoeuvre on a plane and return the recording."""
+    state = plant.start(speed=manoeuvre.speed, gear=manoeuvre.gear)
+    motions, commands = [], []
+    low, high = manoeuvre.within
+    for k in range(round(manoeuvre.duration / PERIOD)):
+        motion = plant.motion(state)
+        if not low <= motion.vx <= high or abs(motion.vy) > SLIDING * motion.vx:
+            break
+        command = manoeuvre.command(k * PERIOD, motion.vx)
+        motions.append(motion)
+        commands.append(command)
+        state = plant.advance(state, command, PERIOD)
+    return Recording(tuple(motions), tuple(commands))
+
+
+def weaves() -> tuple[Manoeuvre, ...]:
+    """Return manoeuvres for the axles, beyond the peaks of the tires, at three speeds."""
+    first = Manoeuvre(speed=WEAVE_SPEEDS[0], gear=2, duration=20.0, steering=0.16)
+    return tuple(
+        replace(first, speed=speed, gear=gear) for gear, speed in enumerate(WEAVE_SPEEDS, start=2)
+    )
+
+
+def held_throttles(
+    vehicle: Vehicle, throttle: float, gears: Sequence[int] = HELD_GEARS, longest: float = 14.0
+) -> tuple[Manoeuvre, ...]:
+    """Return manoeuvres for the engine: an opening from high and low speed in each gear."""
+    manoeuvres = []
+    for gear in gears:
+        lever = vehicle.gear_ratios[gear - 1] * vehicle.final_drive / vehicle.wheel_radius
+        low, high = SLOWEST / lever, FASTEST / lever
+        for speed in (0.99 * high, 1.1 * low):
+            manoeuvre = Manoeuvre(
+                speed=speed, gear=gear, duration=longest, within=(0.9 * low, 1.01 * high),
+                throttle=throttle,
+            )  # fmt: skip
+            manoeuvres.append(manoeuvre)
+    return tuple(manoeuvres)
+
+
+def brakings() -> tuple[Manoeuvre, ...]:
+    """Return manoeuvres for the brake: constant pressures in neutral, without engine braking."""
+    return tuple(
+        Manoeuvre(speed=speed, gear=0, duration=6.0, within=(10.0, 90.0), brake=pressure)
+        for speed in BRAKE_SPEEDS
+        for pressure in BRAKE_PRESSURES
+    )
+
+
+def programme(vehicle: Vehicle, openings: Sequence[float]) -> Mapping[str, tuple[Manoeuvre, ...]]:
+    """Return all manoeuvres by name: weave, braking, and throttle_05 etc. for the openings."""
+    throttles = {
+        f"throttle_{round(100 * opening):02d}": held_throttles(vehicle, opening)
+        for opening in openings
+    }
+    return {"weave": weaves(), "braking": brakings(), **throttles}

@@ -1,0 +1,116 @@
+"""Path tracking by Eq. 13-15 as printed; `steering_control` has the corrected equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from miho.quantities import Array
+from miho.validate import positive
+from miho.vehicle.driving.path_tracking import LateralModel, Weights, continuous_gains
+from miho.vehicle.driving.steering_control import FeedForward, SteeringState, TrackingError
+from miho.vehicle.driving.track import Projection, Track
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.models.axle import Axle, central_stiffness
+
+INTERVAL = 5.0
+"""Width of the velocity intervals with one gain each [m/s]; the paper does not state it."""
+FASTEST = 90.0
+"""End of the last interval [m/s], whose gain is used at higher speeds."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedSteering:
+    """The regulator delta = -K xi of Eq. 15 as printed.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The car; its largest steering angle limits the command.
+    model : LateralModel
+        The lateral model (Eq. 13), with B C D of Eq. 14 as cornering stiffnesses [N/rad].
+    K : ndarray, shape (k, 4)
+        Gains, one row for each interval of 5 m/s from standstill.
+    period : float
+        Time between commands [s]; a command is held over it.
+
+    Notes
+    -----
+    The equations contain no feed-forward of curvature and bank, and no delay and lag of the
+    steering. In a steady turn, the regulator therefore steers only with an error.
+    The paper leaves some quantities open. They are interpreted as follows.
+
+    - The matrices of the model are not printed. They are taken from Rajamani, Vehicle Dynamics and
+      Control (2011), Ch. 2.5, which the paper cites. The stiffnesses are of whole axles, because
+      the paper fits the sum of both tire forces; the factor 2 of the book does not occur.
+    - An axle's B C D is the sum of B C D of its two tire curves.
+    - e_psi' is the yaw rate less the path's yaw rate, v_x kappa.
+    - Gains over piecewise velocity intervals: each interval of 5 m/s has the gain of its middle.
+    - There is no rule for slow driving; the gain of 2.5 m/s is used down to standstill.
+    """
+
+    vehicle: Vehicle
+    model: LateralModel
+    K: Array
+    period: float
+
+    def __post_init__(self) -> None:
+        positive("period", self.period, "of seconds")
+
+    @classmethod
+    def of(
+        cls, vehicle: Vehicle, front: Axle, rear: Axle, weights: Weights, period: float = 0.01
+    ) -> PrintedSteering:
+        """Design the gains for a car with the identified curves of its axles.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            The car.
+        front, rear : Axle
+            Curves of the tires (Eq. 4).
+        weights : Weights
+            Q and R of Eq. 15.
+        period : float, optional
+            Time between commands [s].
+
+        Returns
+        -------
+        PrintedSteering
+            The regulator.
+        """
+        C_f, C_r = (
+            float(central_stiffness(axle.left) + central_stiffness(axle.right))
+            for axle in (front, rear)
+        )
+        model = LateralModel(car=vehicle.single_track, C_f=C_f, C_r=C_r)
+        middles = np.arange(INTERVAL / 2, FASTEST, INTERVAL)
+        K = np.array([continuous_gains(model, weights, float(v)) for v in middles])
+        return cls(vehicle, model, K, period)
+
+    @property
+    def initial(self) -> SteeringState:
+        """Empty state, because the regulator has no memory."""
+        return SteeringState(())
+
+    def feed_forward(self, vx: float, curvature: float, bank: float) -> FeedForward:
+        """Return the steering angle L kappa [rad] without slip, for missing measurements."""
+        return FeedForward(self.vehicle.wheelbase * curvature, 0.0)
+
+    def command(
+        self,
+        state: SteeringState,
+        line: Track,
+        at: Projection,
+        error: TrackingError,
+        vx: float,
+        steering: float,
+    ) -> tuple[float, SteeringState]:
+        """Return the steering command [rad] at a speed vx [m/s], and the unchanged state.
+
+        `line`, `at` and `steering` are not used; `SteeringController` needs them.
+        """
+        row = min(max(int(vx / INTERVAL), 0), len(self.K) - 1)
+        largest = self.vehicle.steering_max
+        return min(max(-float(self.K[row] @ error), -largest), largest), state

@@ -1,0 +1,158 @@
+"""Velocity plans by Eq. 10-12 as printed; `velocity_planner` has the corrected equations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from miho.quantities import Array, g
+from miho.validate import positive_settings
+from miho.vehicle.driving.grip import Grip
+from miho.vehicle.driving.load_transfer import LoadTransfer
+from miho.vehicle.driving.plant import Motion
+from miho.vehicle.driving.track import Track
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.driving.velocity_planner import VelocityPlan, VelocityPlanner
+
+STRAIGHT = 1e-9
+"""Smallest curvature [1/m] in Eq. 12."""
+
+
+@dataclass(frozen=True)
+class PrintedPlanner:
+    """Speeds by the printed equations, for a whole line or for the measured motion of a car.
+
+        C_roll = m_s v_y' h_a                                                        (Sec. IV-A)
+        F_y,i^max = mu (F_z,i / F_z,i^nominal) F_y,i^peak                               (Eq. 10)
+        a_y,max = (F_y,r^max + F_y,f^max cos(delta) - m v_x psi') / m                   (Eq. 11)
+        v_x,des = sqrt(a_y,max / kappa)                                                 (Eq. 12)
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car. The printed load transfer uses only the roll couple of its suspension.
+    grip : Grip
+        Nominal loads [N] and peaks [N] of the tires. Load sensitivities are not used.
+    mu : float, optional
+        Performance factor of Eq. 10 [-].
+    top_speed : float, optional
+        Largest speed [m/s]; Eq. 12 gives no limit on a straight.
+    transfer : bool, optional
+        If true, load transfer follows from the lateral acceleration of the plan instead of v_y'.
+    yaw_term : bool, optional
+        If false, Eq. 11 is used without m v_x psi'.
+
+    Raises
+    ------
+    ValueError
+        If `mu` or `top_speed` is not a positive number.
+
+    Notes
+    -----
+    The paper leaves some of these quantities open. They are interpreted as follows.
+
+    - F_z: the static load of each wheel, with the roll couple shared by the axles in proportion to
+      their roll stiffness and divided by the track. Downforce, banking and longitudinal transfer
+      do not occur in the equations.
+    - F_z^nominal: the static load. The text prints another symbol for it than the equation.
+    - F_y^peak: the largest force of the tire curve, with its offsets, towards the inside of the
+      bend.
+    - Signs: forces, psi' and kappa count as positive towards the inside of the bend.
+    - A negative a_y,max has no root; the desired speed is then 0.
+    - A kappa below 1e-9 1/m counts as 1e-9 1/m, so that straights have the top speed.
+
+    `speeds` and `plan` assume that the car follows the line in a steady turn: v_y' = 0,
+    psi' = v_x kappa and delta = L kappa. Eq. 11 and 12 are then 2 v_x^2 kappa = F / m with the
+    force F of both axles, so the speed is sqrt(1/2) = 0.707 times the limit of these forces.
+    `speed` uses the measured motion.
+    """
+
+    vehicle: Vehicle
+    grip: Grip
+    mu: float = 1.0
+    top_speed: float = 90.0
+    transfer: bool = False
+    yaw_term: bool = True
+
+    def __post_init__(self) -> None:
+        positive_settings(self, ("mu", "top_speed"))
+
+    def plan(self, line: Track) -> VelocityPlan:
+        """Plan the laps of a line.
+
+        Parameters
+        ----------
+        line : Track
+            Line of the car.
+
+        Returns
+        -------
+        VelocityPlan
+            Speeds by Eq. 12. `lateral` is v_x^2 kappa, `limit` is a_y,max of Eq. 11 at these
+            speeds [m/s^2], and `use` is their ratio. Accelerations between points are not
+            limited. `friction` has the limits of the corrected plan, for the evaluation of drives.
+        """
+        v = self.speeds(line)
+        lateral = v**2 * line.curvature
+        yaw = np.abs(lateral) if self.yaw_term else 0.0
+        limit = self._ay_max(line) - yaw
+        ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
+        friction = VelocityPlanner(self.vehicle, self.grip, mu=self.mu).friction
+        return VelocityPlan(line, v, ax, lateral, limit, np.abs(lateral) / limit, friction)
+
+    def speeds(self, line: Track) -> Array:
+        """Return the desired speeds [m/s] at the points of a line in a steady turn, (n,)."""
+        bend = np.maximum(np.abs(line.curvature), STRAIGHT)
+        # With psi' = v kappa, Eq. 11 and 12 become v^2 kappa = F / m - v^2 kappa.
+        v = np.sqrt(self._ay_max(line) / (2 if self.yaw_term else 1) / bend)
+        return np.asarray(np.minimum(v, self.top_speed))
+
+    def speed(self, motion: Motion, curvature: float, bank: float = 0.0) -> float:
+        """Return the desired speed of a car for its measured motion.
+
+        Parameters
+        ----------
+        motion : Motion
+            Measured motion: v_x [m/s], psi' [rad/s], delta [rad] and the accelerometer's a_y
+            [m/s^2], which gives v_y' = a_y + g sin(bank) - v_x psi'. With `transfer`, load
+            transfer follows from a_y.
+        curvature : float
+            Curvature of the path at the car [1/m]; the equations have no preview.
+        bank : float, optional
+            Bank of the road at the car [rad], used in v_y' only.
+
+        Returns
+        -------
+        float
+            v_x,des [m/s], from 0 to the top speed.
+        """
+        turning = motion.vx * motion.yaw_rate
+        vy_rate = motion.ay + g * math.sin(bank) - turning
+        moving = motion.ay if self.transfer else vy_rate
+        rear, front = self._axles(np.array([moving]), np.array([curvature]))
+        ay_max = float(rear[0] + front[0] * math.cos(motion.steering)) / self.vehicle.mass
+        if self.yaw_term:
+            ay_max -= math.copysign(1.0, curvature) * turning
+        bend = max(abs(curvature), STRAIGHT)
+        return min(math.sqrt(max(ay_max, 0.0) / bend), self.top_speed)
+
+    def _ay_max(self, line: Track) -> Array:
+        """Return Eq. 11 without the yaw term, (n,) [m/s^2], for a car on a line."""
+        toward = np.where(line.curvature < 0, -1.0, 1.0)
+        ay = np.zeros(line.curvature.size)
+        for _ in range(21 if self.transfer else 1):
+            rear, front = self._axles(toward * ay, line.curvature)
+            ay = (rear + front * np.cos(self.vehicle.wheelbase * line.curvature)) / (
+                self.vehicle.mass
+            )
+        return np.asarray(ay)
+
+    def _axles(self, moving: Array, curvature: Array) -> tuple[Array, Array]:
+        """Return F_y,r^max and F_y,f^max [N], (n,), by Eq. 10 at accelerations `moving`, (n,)."""
+        transfer = LoadTransfer(self.vehicle, as_printed=not self.transfer)
+        loads = np.stack(transfer.wheel_loads(0.0, 0.0, moving, vy_rate=moving), axis=1)
+        peaks = np.where(curvature[:, None] < 0, self.grip.right, self.grip.left)
+        forces = self.mu * loads / self.grip.load * peaks
+        return forces[:, 2:].sum(axis=1), forces[:, :2].sum(axis=1)

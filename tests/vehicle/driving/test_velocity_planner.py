@@ -1,0 +1,183 @@
+"""Velocity plans: closed forms, and limits that an independent computation finds kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.constants import g
+
+from miho.vehicle.driving.grip import Grip
+from miho.vehicle.driving.load_transfer import LoadTransfer
+from miho.vehicle.driving.ovals import lvms
+from miho.vehicle.driving.segments import Segment, track_of
+from miho.vehicle.driving.track import Track
+from miho.vehicle.driving.velocity_planner import (
+    VelocityPlan,
+    VelocityPlanner,
+    front_share,
+    full_throttle,
+)
+from tests.vehicle.driving.cars import car
+
+LVMS = lvms(step=8.0)
+CAR = car()
+PLAIN = replace(CAR.vehicle, C_l_front=0.0, C_l_rear=0.0)
+
+
+def equal_grip(sensitivity: float = 0.0) -> Grip:
+    """Tires with a force as large as their load, at 2000 N."""
+    force, q = np.full(4, 2000.0), np.full(4, sensitivity)
+    return Grip(force, force, force, force, q, q)
+
+
+def ring(radius: float, bank: float) -> Track:
+    bend = (1 / radius, 1 / radius)
+    lap = Segment(length=math.tau * radius, curvature=bend, bank=(bank, bank))
+    return track_of("ring", [lap], step=10.0)
+
+
+@pytest.mark.parametrize(("bank", "expected"), [(0.0, 47.8), (20.0, 70.0)])
+def test_a_banked_ring_has_the_closed_form(bank: float, expected: float) -> None:
+    """v^2 = g R (mu + tan b) / (1 - mu tan b): the speeds of the literature, and to 1e-9."""
+    plan = VelocityPlanner(PLAIN, equal_grip()).plan(ring(233.0, math.radians(bank)))
+    tan = math.tan(math.radians(bank))
+    v = math.sqrt(g * 233.0 * (1 + tan) / (1 - tan))
+    assert v == pytest.approx(expected, abs=0.05)
+    assert plan.v == pytest.approx(v, rel=1e-9)
+    assert plan.use == pytest.approx(1.0, abs=1e-9)
+    assert plan.ax == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_reserve_lowers_the_speeds_and_not_the_limit() -> None:
+    """The speeds are those of a smaller mu, and their use of the whole one is 1 less the reserve.
+
+    On a flat ring without downforce the use is in proportion to the lateral acceleration.
+    """
+    flat = ring(233.0, 0.0)
+    planner = VelocityPlanner(PLAIN, equal_grip(), mu=0.8)
+    kept = replace(planner, reserve=0.25).plan(flat)
+    assert kept.v == pytest.approx(replace(planner, mu=0.6).plan(flat).v, rel=1e-9)
+    assert kept.use == pytest.approx(0.75, abs=1e-9)
+    assert kept.limit == pytest.approx(0.8 * g, rel=1e-9)
+    with pytest.raises(ValueError, match="reserve is 1; expected at least 0 and below 1"):
+        replace(planner, reserve=1.0)
+
+
+def test_downforce_adds_to_the_closed_form() -> None:
+    """m v^2 / R = mu (m g + C_l v^2), with downforce at the centre of gravity."""
+    front = CAR.vehicle.lr / CAR.vehicle.wheelbase
+    winged = replace(PLAIN, C_l_front=front, C_l_rear=1 - front)
+    plan = VelocityPlanner(winged, equal_grip(), mu=0.8).plan(ring(100.0, 0.0))
+    expected = math.sqrt(0.8 * g / (1 / 100.0 - 0.8 / winged.mass))
+    assert plan.v == pytest.approx(expected, rel=1e-9)
+
+
+def test_load_transfer_costs_speed_only_with_load_sensitivity() -> None:
+    """Eq. 10 lets it cancel on axles with equal tires; a lower centre of gravity then gains 0."""
+    low, high = (replace(PLAIN, h_cg=h_cg) for h_cg in (0.2, 0.5))
+    track = ring(100.0, 0.0)
+    for sensitivity, gains in ((0.0, False), (-0.2, True)):
+        grip = equal_grip(sensitivity)
+        high_plan, low_plan = (VelocityPlanner(v, grip).plan(track) for v in (high, low))
+        gain = low_plan.v[0] / high_plan.v[0] - 1
+        assert (gain > 0.005) == gains
+        if not gains:
+            assert gain == pytest.approx(0.0, abs=1e-9)
+
+
+def used(planner: VelocityPlanner, plan: VelocityPlan) -> np.ndarray:
+    """Use of the worse axle's ellipse from each point to the next, written anew."""
+    vehicle, grip, line, v = planner.vehicle, planner.grip, plan.line, plan.v
+    ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
+    turning = v**2 * line.curvature
+    ay = turning * np.cos(line.bank) - g * np.sin(line.bank)
+    gravity = g * np.cos(line.bank) + turning * np.sin(line.bank)
+    force = vehicle.mass * ax + vehicle.C_d * v**2 + vehicle.C_r
+    loads = LoadTransfer(vehicle).wheel_loads(v, force / vehicle.mass, ay, gravity=gravity)
+    x = np.stack(loads, axis=1) / grip.load
+    sideways = np.where(ay[:, None] >= 0, grip.left, grip.right)
+    y = planner.mu * x * sideways * (1 + grip.lateral_sensitivity * (x - 1))
+    along = planner.mu * x * grip.drive * (1 + grip.longitudinal_sensitivity * (x - 1))
+    brake = front_share(CAR.brake)
+    share = np.where(force[:, None] < 0, [brake, 1 - brake], [0.0, 1.0])
+    carried = np.array([vehicle.lr, vehicle.lf]) / vehicle.wheelbase * vehicle.mass * ay[:, None]
+    axles = [peaks.reshape(-1, 2, 2).sum(axis=2) for peaks in (y, along)]
+    uses = np.hypot(carried / axles[0], share * force[:, None] / axles[1])
+    return np.asarray(uses.max(axis=1))
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    mu=st.floats(0.45, 1.1),
+    top=st.floats(30.0, 90.0),
+    loads=st.floats(0.5, 1.5),
+    strength=st.floats(0.5, 1.2),
+)
+def test_energy_and_friction_limits_hold_at_every_point(
+    mu: float, top: float, loads: float, strength: float
+) -> None:
+    """On LVMS and on a road with hairpins of 40 m, where braking is needed."""
+    tight = [
+        Segment(length=150.0),
+        Segment(length=60.0, curvature=(0.0, 0.025)),
+        Segment(length=math.pi / 0.025 - 60.0, curvature=(0.025, 0.025)),
+        Segment(length=60.0, curvature=(0.025, 0.0)),
+        Segment(length=150.0),
+    ]
+    hairpins = track_of("hairpins", tight + tight, step=4.0)
+    weaker = replace(CAR.grip, load=CAR.grip.load * loads, left=CAR.grip.left * strength)
+    planner = replace(CAR.planner(mu, top), grip=weaker)
+    mass = CAR.vehicle.mass
+    for track in (LVMS, hairpins):
+        try:
+            plan = planner.plan(track)
+        except ValueError as error:
+            assert "no speed holds the car" in str(error)
+            continue
+        assert plan.v.max() <= top + 1e-9
+        use = used(planner, plan)
+        assert use.max() <= 1 + 1e-6
+        assert plan.use == pytest.approx(use, abs=1e-6)
+        drag = CAR.vehicle.C_d * plan.v**2 + CAR.vehicle.C_r
+        power = (mass * plan.ax + drag) * plan.v
+        strongest = (CAR.engine.table * CAR.engine.speeds).max()
+        assert (power <= strongest + 1e-6).all(), "more power than the engine has"
+        assert (-mass * plan.ax <= 0.9 * CAR.brake.largest_force + drag + 1e-3 * mass).all()
+
+
+def test_the_plan_brakes_before_the_bend_and_runs_into_a_limit_everywhere() -> None:
+    """A plan with slack everywhere could be faster: some limit is met at each point."""
+    plan = CAR.planner(0.5, 80.0).plan(LVMS)
+    assert plan.ax.min() < -1.0
+    speeds = np.arange(1.0, 90.0)
+    engine = np.interp(plan.v, speeds, full_throttle(CAR.vehicle, CAR.engine, speeds))
+    tight = (plan.use > 0.999) | (plan.v > 79.9) | (plan.ax > engine - 0.05)
+    before_a_brake_limit = plan.ax < -0.9 * CAR.brake.largest_force / CAR.vehicle.mass
+    assert (tight | before_a_brake_limit).mean() > 0.99
+
+
+def test_the_plan_between_points_is_uniformly_accelerated() -> None:
+    plan = CAR.planner(0.5, 80.0).plan(LVMS)
+    i = int(np.argmin(plan.ax))
+    s = plan.line.s[i] + 0.25 * plan.line.step
+    v, ax = plan.at(s + plan.line.length)
+    assert ax == plan.ax[i]
+    assert v**2 == pytest.approx(0.75 * plan.v[i] ** 2 + 0.25 * plan.v[i + 1] ** 2)
+    fine = sum(plan.line.step / 50 / plan.at(k * plan.line.step / 50)[0]
+               for k in range(50 * plan.v.size))  # fmt: skip
+    assert plan.lap_time == pytest.approx(fine, rel=1e-4)
+
+
+def test_a_road_too_steep_or_too_tight_is_refused() -> None:
+    planner = VelocityPlanner(PLAIN, equal_grip(), mu=0.1)
+    with pytest.raises(ValueError, match=r"no speed holds the car on steep at s = "):
+        track = ring(300.0, 0.0)
+        planner.plan(replace(track, name="steep", bank=np.where(track.s < 100, -0.5, 0.0)))
+    for wrong in ({"mu": 0.0}, {"top_speed": -1.0}, {"brake_share": math.nan}):
+        with pytest.raises(ValueError, match="expected a positive number"):
+            VelocityPlanner(PLAIN, equal_grip(), **wrong)
