@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,7 @@ from miho.identification.uncertainty import (
     parameters_at_bounds,
 )
 from miho.identification.validation import OR_DRIFT, in_a_sweep, is_finding
+from miho.models.derived import Derived
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -175,20 +176,20 @@ def maybe_zero(
     return sentences
 
 
-def wrong_signs(quantities: pd.DataFrame, signs: Mapping[str, int]) -> list[str]:
-    """A sentence on rows of `Report.derived` whose sign differs from the sign of every tire."""
-    wrong = []
-    for row in quantities.to_dict("records"):
-        if signs.get(row["quantity"], 0) * row["value"] < 0:
+def wrong_signs(table: pd.DataFrame, quantities: Sequence[Derived]) -> list[str]:
+    """Sentences on rows of `Report.derived` with the opposite of the sign that they always have."""
+    declared = {quantity.name: quantity for quantity in quantities}
+    wrong: dict[str, list[str]] = {}
+    for row in table.to_dict("records"):
+        quantity = declared[row["quantity"]]
+        if quantity.sign * row["value"] < 0:
             error = row["standard error"]
             spread = f" ± {error:.2g}" if np.isfinite(error) else ""
-            wrong.append(f"{row['quantity']} ({row['value']:.3g}{spread} {row['unit']})")
-    if not wrong:
-        return []
-    has = "has" if len(wrong) == 1 else "have"
+            value = f"{quantity.name} ({row['value']:.3g}{spread} {row['unit']})"
+            wrong.setdefault(quantity.remark, []).append(value)
     return [
-        f"{_listed(wrong)} {has} a sign that no tire has in ISO-W signs: check signs, offsets and "
-        "delays of the columns, and whether the data reach zero slip."
+        f"{_listed(values)} {'has' if len(values) == 1 else 'have'} {remark}"
+        for remark, values in wrong.items()
     ]
 
 

@@ -15,7 +15,6 @@ from miho.identification.alternatives import hull, optima_table, several_values
 from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import (
-    Derived,
     delta_method,
     derived,
     gradient,
@@ -59,6 +58,7 @@ from miho.identification.validation import (
     residual_trends,
     root_mean_square,
 )
+from miho.models.derived import Derived
 from miho.optim import Descents, Space, in_optimum
 from miho.quantities import Array
 
@@ -367,7 +367,7 @@ class Report:
         sentences += maybe_zero(at, space, self.profiles, self.level)
         ends = self.parameters[["linearised low", "linearised high"]].to_numpy()
         sentences += profile_shapes(ends, space, self.profiles)
-        sentences += wrong_signs(self.derived, {q.name: q.sign for q in self._quantities})
+        sentences += wrong_signs(self.derived, self._quantities)
         # Errors: do the assumptions of the standard errors hold?
         sentences += uneven_spread(at, space) if self.uneven else []
         sentences += sigma_disagrees(self.problem, self.at)

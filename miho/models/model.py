@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.models.derived import Derived
 from miho.quantities import Array
 
 SMALLEST = 1e-12
@@ -105,6 +106,22 @@ class Model(ABC):
         ndarray, shape (N, d)
             Derivatives.
         """
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return the reported quantities, which may depend on the data.
+
+        Parameters
+        ----------
+        columns : mapping of str to ndarray, shape (N,)
+            Columns of the data, by name.
+
+        Returns
+        -------
+        tuple of Derived
+            Quantities; by default the quantities in `derived`.
+        """
+        declared = self.derived.items()
+        return tuple(Derived(name, unit, values) for name, (unit, values) in declared)
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
         """Return sentences for the report about numerical errors of the model at an optimum.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
 
+from miho.models.derived import Derived
 from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.parallel import Evaluated, Evaluations
 from miho.quantities import Array
@@ -30,7 +31,7 @@ class SpreadModel(Model):
     ) -> None:
         self.inputs, self.parameters, self.output = model.inputs, model.parameters, model.output
         self.linear, self.name, self.source = model.linear, model.name, model.source
-        self.ordered, self.nominal, self.derived = model.ordered, model.nominal, model.derived
+        self.ordered, self.nominal = model.ordered, model.nominal
         self.model, self._evaluations, self._place = model, evaluations, place
         self._losses = losses
         self._tasks: dict[tuple[str, bytes], Evaluated] = {}
@@ -40,6 +41,10 @@ class SpreadModel(Model):
     def jacobian_cost(self) -> int | None:  # type: ignore[override]
         """Cost of a Jacobian of the model."""
         return self.model.jacobian_cost
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return the quantities of the model."""
+        return self.model.derived_quantities(columns)
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Return the outputs (n, N) of parameter rows (n, d)."""

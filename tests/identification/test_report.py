@@ -1,5 +1,6 @@
 """The report tells what a known truth makes it tell."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -19,6 +20,7 @@ from miho.identification.validation import (
     residual_trends,
     root_mean_square,
 )
+from miho.models.derived import Derived
 from miho.optim import Space
 from miho.vehicle.data import sample_tir
 from miho.vehicle.models import Pacejka
@@ -95,8 +97,8 @@ def test_it_says_where_a_landmark_has_a_sign_that_no_tire_has(tire: Report) -> N
     assert "in ISO-W signs" in note
 
 
-def test_no_sign_is_wrong_for_functions_that_need_be_no_tire() -> None:
-    """One over alpha may be in other signs; what is named as a tire's landmark has its sign."""
+def test_no_sign_is_wrong_for_models_that_declare_none() -> None:
+    """A function over alpha may be in other signs; a quantity with a sign has this sign."""
     x = np.linspace(-0.1, 0.1, 40)
     force = 500 * x + np.random.default_rng(0).standard_normal(40)
 
@@ -104,16 +106,17 @@ def test_no_sign_is_wrong_for_functions_that_need_be_no_tire() -> None:
         inputs = MappingProxyType({"alpha": "rad"})
         output = "N"
 
-    class Named(Line):
-        derived = MappingProxyType({"cornering stiffness": ("N", lambda thetas: -thetas[:, 1])})
+    class Signed(Line):
+        def derived_quantities(self, columns: Mapping[str, np.ndarray]) -> tuple[Derived, ...]:
+            return (Derived("k", "N", lambda thetas: -thetas[:, 1], sign=1, remark="no sign."),)
 
-    for model, unit, told in ((Spring(), "N", False), (Named(), "-", True)):
+    for model, unit, told in ((Spring(), "N", False), (Signed(), "-", True)):
         name = next(iter(model.inputs))
         units = {name: model.inputs[name], "y": unit}
         data = Dataset("d", {name: x, "y": force}, units, "y")
         problem = replace(line(force, x, b=(0, 1000)), model=model, dataset=data)
         notes = make_report(problem, np.array([0.0, 500.0]), profiles=False).notes
-        assert any("a sign that no tire has in ISO-W signs" in note for note in notes) == told
+        assert any(note.startswith("k (-") and "has no sign" in note for note in notes) == told
 
 
 def test_the_band_holds_the_curve_of_the_truth() -> None:

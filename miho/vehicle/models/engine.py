@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, pi
 from types import MappingProxyType
@@ -10,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.kernel import Formula
+from miho.models.derived import Derived
 from miho.models.expression import Expression
 from miho.quantities import Array
+from miho.vehicle.models.features import torque_features
 
 RPM = pi / 30
 """One revolution per minute in rad/s."""
@@ -69,6 +72,10 @@ class TorqueCubic(Expression):
             return w * 0 + 1, w, w * w, w * w * w
 
         return powers
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return the peak torque and its engine speed."""
+        return torque_features(self, columns)
 
 
 @dataclass(frozen=True)

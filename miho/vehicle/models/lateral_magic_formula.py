@@ -9,8 +9,10 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 
+from miho.models.derived import Derived
 from miho.models.model import Model
 from miho.quantities import Array
+from miho.vehicle.models.features import tire_features
 from miho.vehicle.models.magic_formula import Conditions, MagicFormula
 from miho.vehicle.models.magic_formula_parameters import (
     CONSTANTS,
@@ -111,6 +113,10 @@ class LateralMagicFormula(Model):
         p = self.base.parameters
         references = {"Fz": ("FNOMIN", p.LFZO * p.FNOMIN), "pressure": ("NOMPRES", p.NOMPRES)}
         return {name: references[name] for name in self.inputs if name in references}
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return cornering stiffness, peaks and friction."""
+        return tire_features(self, columns)
 
     def with_coefficients(self, theta: Array) -> MagicFormula:
         """Return the base tire with identified coefficients (d,), for example for `write_tir`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -9,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.kernel import Formula
+from miho.models.derived import Derived
 from miho.models.expression import Expression
+from miho.quantities import Array
+from miho.vehicle.models.features import tire_features
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,10 @@ class Pacejka(Expression):
         """Derivatives of the lateral force with respect to (B, C, D, Sx, Sy)."""
         return _force_derivatives
 
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return cornering stiffness, peaks and friction."""
+        return tire_features(self, columns)
+
 
 @dataclass(frozen=True)
 class PacejkaCurvature(Expression):
@@ -72,6 +80,10 @@ class PacejkaCurvature(Expression):
     def derivatives(self) -> Formula:
         """Derivatives of the lateral force with respect to (B, C, D, E, Sx, Sy)."""
         return _bent_force_derivatives
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return cornering stiffness, peaks and friction."""
+        return tire_features(self, columns)
 
 
 def _force(inputs: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:

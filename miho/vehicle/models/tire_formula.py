@@ -10,8 +10,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+from miho.models.derived import Derived
 from miho.models.symbolic import Symbol, constant, trace
 from miho.models.traced import TracedExpression
+from miho.quantities import Array
+from miho.vehicle.models.features import tire_features
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.magic_formula_parameters import parameter_names
@@ -121,6 +124,11 @@ class TireFormula(TracedExpression):
     def name(self) -> str:  # type: ignore[override]
         """Name of the force, after the name of the file if there is one."""
         return self.force if self.source is None else f"{self.source.stem}_{self.force}"
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return stiffness, peaks and friction of a force [N] over the slip angle."""
+        over_alpha = next(iter(self.inputs)) == "alpha" and self.output == "N"
+        return tire_features(self, columns) if over_alpha else ()
 
     def own_values(self) -> dict[str, float]:
         """Return the values of the coefficients in the tire."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
+from miho.models.derived import Derived
 from miho.models.model import Model
 from miho.quantities import Array
+from miho.vehicle.models.features import tire_features
 from miho.vehicle.models.tire import PacejkaCurvature
 
 
@@ -48,6 +51,10 @@ class PacejkaLandmarks(Model):
         if np.isnan(at).any():
             return np.full((inputs[0].size, theta.size), np.nan)
         return PacejkaCurvature().jacobian(at, *inputs) @ _factor_slopes(theta, at)
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return cornering stiffness, peaks and friction."""
+        return tire_features(self, columns)
 
 
 def factors(thetas: Array) -> Array:
