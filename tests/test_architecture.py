@@ -36,7 +36,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         NUMERICS | TABLES | {"emcee", "arviz"},
     ),
     "miho.vehicle.models": (
-        {"miho.vehicle.models", "miho.models", "miho.compiled"},
+        {"miho.vehicle.models", "miho.models", "miho.compiled", "miho.data", "miho.optim"},
         NUMERICS,
     ),
     "miho.vehicle.data": (

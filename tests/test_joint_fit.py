@@ -293,7 +293,11 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
             "fixed: z is not a parameter",
         ),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),
-        ({"A": (miho.load_tir(embedded_tire("lf")), t, t)}, {}, "the model is a tire"),
+        (
+            {"A": (miho.load_tir(embedded_tire("lf")), t, t)},
+            {},
+            "a MagicFormula; expected its parameters",
+        ),
     ],
 )
 def test_what_does_not_fit_together_is_refused(parts, keywords, message: str) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from miho.fitting.protocols import Signed, Writable
 from miho.fitting.statement import inputs_of
 from miho.identification.alternatives import (
     hull,
@@ -42,7 +43,6 @@ from miho.optim import Descents, Minimum, in_optimum
 from miho.parallel.remote import Raised
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
-from miho.vehicle.models.tire_formula import TireFormula
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -346,8 +346,9 @@ class Fit(Remade):
             If most Fz of a tire are negative.
         """
         inputs = inputs_of(self.problem.model, x)
-        if isinstance(whole_model(self.problem.model), TireFormula) and np.median(inputs["Fz"]) < 0:
-            raise ValueError("Fz is mostly negative; predict takes a tire's inputs in ISO-W signs")
+        model = whole_model(self.problem.model)
+        if isinstance(model, Signed):
+            model.check_signs(inputs)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
         value, reach = self._band(*columns)
         return Prediction(value, value - reach, value + reach)
@@ -358,7 +359,7 @@ class Fit(Remade):
         Raises TypeError if the model is not a tire.
         """
         model = whole_model(self.problem.model)
-        if not isinstance(model, TireFormula):
+        if not isinstance(model, Writable):
             raise TypeError("only a fit of a tire can be written as a property file")
         model.write(self.values, path)
 

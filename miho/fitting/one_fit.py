@@ -21,8 +21,9 @@ from miho.fitting.dear_fit import (
 from miho.fitting.fit_result import Fit
 from miho.fitting.known_start import best_known, check_start
 from miho.fitting.named import check_budget, loss_of, method_of
+from miho.fitting.protocols import Template, model_of_file
 from miho.fitting.search import searched
-from miho.fitting.statement import DENSE, Tire, check_named, data_of, of_tire, space_of
+from miho.fitting.statement import DENSE, check_named, data_of, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import ties_of
@@ -35,7 +36,6 @@ from miho.optim import Budget, Optimizer, Space
 from miho.optim.gauss_newton_descent import descended as descended_by_machine
 from miho.parallel import Evaluations, Workers
 from miho.quantities import Array
-from miho.vehicle.models.magic_formula import MagicFormula
 
 EDGE = 1e-6
 """A value closer than this share of a range to one of its ends counts as at the edge."""
@@ -45,7 +45,7 @@ share; `settled` makes at most this number of rounds."""
 
 
 def fit(
-    model: Model | Callable[..., Any] | Tire,
+    model: Model | Callable[..., Any] | Template | str | os.PathLike[str],
     x: Any,
     y: Any,
     space: Space | Mapping[str, Any] | Collection[str] | None = None,
@@ -76,7 +76,7 @@ def fit(
 
     Parameters
     ----------
-    model : Model, callable, MagicFormula or path
+    model : Model, callable, Template or path
         A function ``f(x, ..., a, b, ...)`` of input columns, then parameters, or a `Model`. String
         annotations of a function are units. A tire from `miho.load_tir`, or the path of its
         property file, is also a model, of Fx, Fy or Mz as named by `y`; its coefficients are free
@@ -183,9 +183,11 @@ def fit(
         check_start(start, journal)
         start = None
     check_named(start=start, fixed=fixed, tied=tied)
-    # A tire has default bounds or a start; other models need them by name.
-    if isinstance(model, MagicFormula | str | os.PathLike):
-        model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
+    arguments = x, y, space or (), start, fixed or {}, tied or {}
+    if isinstance(model, Template):
+        model, space, start = model.model_for(*arguments)
+    elif isinstance(model, str | os.PathLike):
+        model, space, start = model_of_file(model)(model, *arguments)
     elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
         raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())

@@ -6,23 +6,18 @@ import dataclasses
 import functools
 import inspect
 import math
-import os
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.data.conventions import to_iso_w
 from miho.data.dataset import Dataset
-from miho.data.measurements import Layout
+from miho.fitting.protocols import Signed, Template
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.optim import Parameter, Space
-from miho.vehicle.models.magic_formula import MagicFormula
-from miho.vehicle.models.tire_formula import TireFormula, is_coefficient, tire_formula
 
 FAR = 1e6
 """The search range of a parameter without bounds: this multiple of its start on either side."""
@@ -41,43 +36,6 @@ COMPLEX = (
     "'imag': (lambda ...: model(...).imag, x, {0}.imag)}}, bounds)"
 )
 """The call that fits complex numbers."""
-
-Tire = MagicFormula | str | os.PathLike[str]
-
-
-def of_tire(
-    tire: Tire,
-    x: Any,
-    y: Any,
-    space: Space | Mapping[str, Any] | Collection[str],
-    start: Mapping[str, float] | None,
-    fixed: Mapping[str, float],
-    tied: Mapping[str, str],
-) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
-    """The model of a tire or of its file, with bounds and start.
-
-    A coefficient that is only named starts at the value of the tire. If coefficients are tied, the
-    space may have parameters that are not coefficients.
-    """
-    if isinstance(tire, str) and not Path(tire).suffix and not Path(tire).exists():
-        raise ValueError(
-            f"model is {tire!r}; expected a function, or the path of a property file (.tir)"
-        )
-    if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
-        raise ValueError(
-            "x and y of a tire: expected columns by name as x and the name of one of them, Fx, Fy "
-            "or Mz, as y"
-        )
-    space = [space] if isinstance(space, str) else space
-    bounded = isinstance(space, Space | Mapping)
-    named = space.names if isinstance(space, Space) else tuple(space)
-    extra = {name for name in named if bounded and tied and not is_coefficient(name)}
-    names = dict.fromkeys([*named, *(start or ()), *fixed, *tied])
-    model = tire_formula(tire, [name for name in names if name not in extra], [*x], y)
-    if isinstance(space, Space | Mapping):
-        return model, space, start
-    own = model.own_values()
-    return model, None, {name: own[name] for name in named} | dict(start or {})
 
 
 def check_named(**arguments: object) -> None:
@@ -102,7 +60,8 @@ def data_of(
 
     Sigma becomes a number or the name of a column of the dataset. Names in `parameters` are
     parameters, even if `x` has columns of the same names. `missing` ("raise" or "drop") is the
-    treatment of rows with a missing number. `tire_columns` documents `convention` and `ranges`.
+    treatment of rows with a missing number. `miho.data.measurements.Layout` documents `convention`
+    and `ranges`.
     """
     if missing not in MISSING:
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
@@ -113,10 +72,10 @@ def data_of(
         output, values = y, x[y]
     else:
         output, values = "y", y
-    if isinstance(model, MagicFormula):
+    if isinstance(model, Template):
         raise ValueError(
-            "the model is a tire; expected its free coefficients as well, for example "
-            'miho.vehicle.models.TireFormula(tire, ("PDY1", "PKY1"), "Fy")'
+            f"the model is a {type(model).__name__}; expected its parameters as well, for example "
+            f"{model.with_parameters}"
         )
     if not isinstance(model, Model):
         if not callable(model):
@@ -127,8 +86,8 @@ def data_of(
         model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
-    if isinstance(model, TireFormula):
-        inputs, values = tire_columns(model, inputs, values, convention, ranges)
+    if isinstance(model, Signed):
+        inputs, values = model.converted(inputs, _numbers(output, values), convention, ranges)
     elif convention != "iso-w" or ranges:
         raise ValueError("convention and ranges: expected for the data of a tire only; remove them")
     while output in inputs:
@@ -156,36 +115,6 @@ def _a_column(x: Any, by_name: bool) -> str:
     """What y or sigma may be, as an error message says it."""
     names = f", one of {', '.join(map(str, x))}" if by_name else ", with x by name"
     return f"values, or the name of a column of x{names}"
-
-
-def tire_columns(
-    model: TireFormula,
-    inputs: Mapping[str, Any],
-    force: Any,
-    convention: str = "iso-w",
-    ranges: Mapping[str, Sequence[float] | None] | None = None,
-) -> tuple[dict[str, Any], Any]:
-    """The inputs and the force of a tire in ISO-W signs; all columns are in SI units.
-
-    The checks are the same as for a file. `miho.data.measurements.Layout` documents `convention`
-    and `ranges`. Raises ValueError if the size or the sign of a column is impossible for a tire.
-    """
-    numbers = {**inputs, model.force: _numbers(model.force, force)}
-    units = [*model.inputs.values(), model.output.replace("*", "")]
-    layout = Layout([*numbers], units, model.force, convention=convention, ranges=ranges)
-    # The dataset refuses rows that are not finite, and columns of different lengths.
-    if len({column.shape for column in numbers.values()}) == 1 and np.ndim(numbers[model.force]):
-        finite = np.flatnonzero(np.isfinite([*numbers.values()]).all(axis=0))
-
-        def fault(column: str, row: int | None, problem: str) -> ValueError:
-            return ValueError(
-                f"{column}{'' if row is None else f', row {finite[row] + 1}'}: {problem}"
-            )
-
-        if finite.size:
-            layout.si_columns({name: column[finite] for name, column in numbers.items()}, fault)
-    columns = to_iso_w(numbers, convention)
-    return {name: columns[name] for name in inputs}, columns[model.force]
 
 
 def _complete(

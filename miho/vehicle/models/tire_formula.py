@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
+
+from miho.data.conventions import to_iso_w
+from miho.data.measurements import Layout
 from miho.models.derived import Derived
 from miho.models.symbolic import Symbol, constant, trace
 from miho.models.traced import TracedExpression
@@ -133,6 +137,40 @@ class TireFormula(TracedExpression):
     def own_values(self) -> dict[str, float]:
         """Return the values of the coefficients in the tire."""
         return {name: getattr(self.tire.parameters, name) for name in self.coefficients}
+
+    def converted(
+        self,
+        inputs: Mapping[str, Array],
+        output: Array,
+        convention: str,
+        ranges: Mapping[str, Sequence[float] | None] | None,
+    ) -> tuple[dict[str, Array], Array]:
+        """Return inputs and force in ISO-W signs, checked like the columns of a file.
+
+        All columns are in SI units. `miho.data.measurements.Layout` documents `convention` and
+        `ranges`. Raises ValueError if the size or the sign of a column is impossible for a tire.
+        """
+        numbers = {**inputs, self.force: output}
+        units = [*self.inputs.values(), self.output.replace("*", "")]
+        layout = Layout([*numbers], units, self.force, convention=convention, ranges=ranges)
+        # The dataset refuses rows that are not finite, and columns of different lengths.
+        if len({column.shape for column in numbers.values()}) == 1 and np.ndim(output):
+            finite = np.flatnonzero(np.isfinite([*numbers.values()]).all(axis=0))
+
+            def fault(column: str, row: int | None, problem: str) -> ValueError:
+                return ValueError(
+                    f"{column}{'' if row is None else f', row {finite[row] + 1}'}: {problem}"
+                )
+
+            if finite.size:
+                layout.si_columns({name: column[finite] for name, column in numbers.items()}, fault)
+        columns = to_iso_w(numbers, convention)
+        return {name: columns[name] for name in inputs}, columns[self.force]
+
+    def check_signs(self, inputs: Mapping[str, Array]) -> None:
+        """Raise ValueError if most loads Fz are negative."""
+        if np.median(inputs["Fz"]) < 0:
+            raise ValueError("Fz is mostly negative; predict takes a tire's inputs in ISO-W signs")
 
     def write(self, values: Mapping[str, float], path: str | os.PathLike[str]) -> None:
         """Write the property file with new values of the coefficients; the rest is unchanged."""
