@@ -1,1 +1,3 @@
-"""Rivals of MIHO: wrapped libraries, and `miho.methods`."""
+"""Methods that wrap other libraries, and published problems."""
+
+import miho.moved  # noqa: F401 -- answers for former names

@@ -31,7 +31,7 @@ STRATEGIES = tuple(
 class DEHB(Optimizer):
     """DEHB (Awad, Mallik and Hutter, IJCAI 2021), by the authors' library, with one worker.
 
-    Every rung of Hyperband, with rows of data as the resource as in `baselines.hyperband`, has a
+    Every rung of Hyperband, with rows of data as the resource as in `miho.methods.Hyperband`, has a
     population that evolves by differential evolution with parents from the rung below. Only the
     last rung uses all rows, and only its losses can become best. Populations start at the common
     initial configurations, the first of which is evaluated first, on all rows. The search is over

@@ -1,4 +1,4 @@
-"""Former names: an import of one raises an error of one line with the new name."""
+"""Former names: an import of one raises an error of one line with the present name."""
 
 from __future__ import annotations
 
@@ -6,21 +6,64 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
-MODULES = {"miho.driving": "miho.vehicle.driving"}
-"""New names of modules."""
+LIGHT_METHODS = {
+    "cluster_gauss_newton": ("ClusterGaussNewton",),
+    "differential_evolution": ("DifferentialEvolution",),
+    "dual_annealing": ("DualAnnealing",),
+    "gbo": ("GBO",),
+    "hickernell_yuan": ("HickernellYuan",),
+    "hyperband": ("Hyperband", "SuccessiveHalving"),
+    "least_squares": ("LeastSquares",),
+    "local_search": ("LBFGSB", "NelderMead"),
+    "pso": ("PSO",),
+    "scatter_search": ("ScatterSearch",),
+    "tiktak": ("TikTak",),
+    "variable_projection": ("VariableProjection",),
+}
+"""Former modules of `baselines`, whose methods are in `miho.methods`."""
+MOVED = {
+    **{f"baselines.{module}": "miho.methods" for module in LIGHT_METHODS},
+    **{
+        f"baselines.{module}.{name}": f"miho.methods.{name}"
+        for module, names in LIGHT_METHODS.items()
+        for name in names
+    },
+    "miho.driving": "miho.vehicle.driving",
+    "miho.data.PublishedFit": "baselines.problems.PublishedFit",
+    "miho.data.load_published": "baselines.problems.load_published",
+    "miho.data.published_fit": "baselines.problems.published_fit",
+    "miho.data.published_names": "baselines.problems.published_names",
+    "miho.data.zero_residuals": "baselines.problems.zero_residuals",
+    "miho.models.PublishedModel": "baselines.problems.PublishedModel",
+    "miho.models.ResidualSystem": "baselines.problems.ResidualSystem",
+}
+"""Present dotted names of modules and public names, by former ones."""
 PACKAGES = {"miho.data": "miho.vehicle.data", "miho.models": "miho.vehicle.models"}
 """Packages of which some names and modules moved to another package."""
 
 
 def new_name(name: str) -> str | None:
-    """Return the new dotted name of a former module or public name, None for other names."""
+    """Return the present dotted name of a former module or public name, None for other names."""
     package, _, member = name.rpartition(".")
-    if package in PACKAGES:
+    if name not in MOVED and package in PACKAGES:
         home = PACKAGES[package]
         if member in import_module(home).__all__ or find_spec(f"{home}.{member}"):
             return f"{home}.{member}"
-    return MODULES.get(name)
+    return MOVED.get(name)
+
+
+def with_present_names(config: Any) -> Any:
+    """Return a stored configuration in which each `_target_` has its present dotted name."""
+    if isinstance(config, dict):
+        return {
+            key: new_name(value) or value
+            if key == "_target_" and isinstance(value, str)
+            else with_present_names(value)
+            for key, value in config.items()
+        }
+    return [with_present_names(value) for value in config] if isinstance(config, list) else config
 
 
 class FormerNames:

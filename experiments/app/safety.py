@@ -49,7 +49,6 @@ HOMES: Mapping[type, tuple[ModuleType, ...]] = {
 """Packages whose `__all__` lists the targets of each kind."""
 
 METHODS = Path(baselines.__file__).parent
-LIBRARY_METHODS = miho.methods.__name__
 BASES = {Optimizer.__name__, AskTell.__name__}
 LONGEST_SHOWN = 80
 
@@ -61,19 +60,22 @@ class TargetError(ValueError):
 def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     """Class or function at a dotted path that makes a `kind`.
 
-    Allowed are the public names of our packages and the methods in `baselines`, including the names
-    from `miho.methods`, and former names of these; the source is read, and only an allowed target
-    is imported. Raises TargetError for other paths, and ImportError if the library that a method
-    wraps is missing.
+    Allowed are the public names of our packages and the methods in `baselines`; the source is read,
+    and only an allowed target is imported. Raises TargetError for other paths, and ImportError if
+    the library that a method wraps is missing.
     """
-    present = (new_name(path) or path) if isinstance(path, str) else ""
-    home, _, name = present.rpartition(".")
+    home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
     for package in HOMES[kind]:
-        if home == package.__name__ and name in _public(package, kind):
-            return cast(Callable[..., T], getattr(package, name))
+        if home == package.__name__ and name in package.__all__:
+            member = getattr(package, name)
+            if _gives(member, kind):
+                return cast(Callable[..., T], member)
     parent, _, module = home.rpartition(".")
     if kind is Optimizer and parent == baselines.__name__ and name in _methods(module):
         return cast(Callable[..., T], getattr(importlib.import_module(home), name))
+    present = new_name(path) if isinstance(path, str) else None
+    if present:
+        raise TargetError(f"{path!r} is now {present!r}")
     raise TargetError(
         f"{_shortened(path)} is not a class or function that gives a {kind.__name__}; "
         f"allowed are {', '.join(allowed(kind))}"
@@ -120,13 +122,12 @@ def _methods(module: str) -> list[str]:
     file = METHODS / f"{module}.py"
     if not (module.isascii() and module.isidentifier() and file.is_file()):
         return []
-    names: list[str] = []
-    for node in ast.parse(file.read_bytes()).body:
-        if isinstance(node, ast.ClassDef) and BASES & {_base(base) for base in node.bases}:
-            names.append(node.name)
-        elif isinstance(node, ast.ImportFrom) and node.module == f"{LIBRARY_METHODS}.{module}":
-            names += [alias.name for alias in node.names if alias.name in miho.methods.__all__]
-    return [name for name in names if not name.startswith("_")]
+    return [
+        node.name
+        for node in ast.parse(file.read_bytes()).body
+        if isinstance(node, ast.ClassDef) and BASES & {_base(base) for base in node.bases}
+        if not node.name.startswith("_")
+    ]
 
 
 def _base(node: ast.expr) -> str:

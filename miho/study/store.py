@@ -21,6 +21,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from miho.moved import with_present_names
 from miho.optim import RunRecord, Space
 from miho.study.files import (
     CONFIG,
@@ -299,7 +300,8 @@ def read_run(folder: Path) -> StoredRun:
         contents = {name: json.loads(data) for name, data in files.items()}
     except (ValueError, RecursionError) as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
-    return StoredRun(folder, contents[CONFIG], contents[ENVIRONMENT], contents[CURVE], result)
+    config = with_present_names(contents[CONFIG])
+    return StoredRun(folder, config, contents[ENVIRONMENT], contents[CURVE], result)
 
 
 def _curve(record: RunRecord) -> dict[str, list[Any]]:

@@ -14,6 +14,7 @@ from experiments.app.instantiation import instantiate
 from experiments.app.safety import HOMES, TargetError, allowed, find_target, nested_target
 from miho.data import Dataset
 from miho.models import Model
+from miho.moved import MOVED, with_present_names
 from miho.optim import Optimizer
 from miho.vehicle.models import Pacejka
 
@@ -40,7 +41,7 @@ def test_what_is_allowed_is_found() -> None:
     [
         "miho.vehicle.models.tire.Pacejka", "miho.models.tire.Pacejka", "miho.models.tire",
         "miho.models.Model", "miho.vehicle.models.TirError", "miho.optim.MIHO", "miho.models.",
-        "miho.vehicle.models.Pacejka ", "miho.models.__all__", "baselines.pso.PSO", "Pacejka", "",
+        "miho.vehicle.models.Pacejka ", "miho.models.__all__", "baselines.dehb.DEHB", "Pacejka", "",
         None, 3,
         ["miho.vehicle.models.Pacejka"], {"_target_": "miho.vehicle.models.Pacejka"}, "x" * 10_000,
     ],
@@ -52,24 +53,46 @@ def test_anything_else_is_refused_in_one_line(path: object) -> None:
     assert len(str(caught.value)) < 1000
 
 
-@pytest.mark.parametrize("name", ["unit_box.UnitBox", "local_search._ScaledLoss", "pso.np", "pso"])
+@pytest.mark.parametrize("name", ["cma_es.CMAESState", "dfo_ls._ScaledResiduals", "dehb.np", ""])
 def test_only_methods_come_from_the_baselines(name: str) -> None:
     with pytest.raises(TargetError):
         find_target(f"baselines.{name}", Optimizer)
 
 
-def test_a_method_is_one_class_under_all_its_names() -> None:
-    """So that its settings compare and unpickle, whichever name a configuration or script uses."""
+def test_a_light_method_is_in_one_place_and_its_settings_can_be_pickled() -> None:
     own = ("MIHO", "MIHOGN", "MIHOQN", "RandomSearch")
     light = [name for name in miho.methods.__all__ if name not in own]
-    paths = [path for path in allowed(Optimizer) if path.startswith("baselines.")]
+    assert not {path.rpartition(".")[2] for path in allowed(Optimizer) if "baselines" in path} & {
+        *light
+    }
     for name in light:
         method = getattr(miho.methods, name)
         assert find_target(f"miho.methods.{name}", Optimizer) is method
-        (path,) = (path for path in paths if path.endswith(f".{name}"))
-        assert find_target(path, Optimizer) is method
         settings = method(0.1) if name == "GBO" else method()
         assert pickle.loads(pickle.dumps(settings)) == settings
+
+
+@pytest.mark.parametrize("former", MOVED)
+def test_a_former_name_is_answered_with_the_present_one(former: str) -> None:
+    present = MOVED[former]
+    (kind,) = (kind for kind in HOMES if present in allowed(kind))
+    with pytest.raises(TargetError) as caught:
+        find_target(former, kind)
+    assert str(caught.value) == f"'{former}' is now '{present}'"
+    home, _, name = former.rpartition(".")
+    with pytest.raises(ImportError, match="is now") as refused:
+        exec(f"from {home} import {name}")
+    assert present.rpartition(".")[0] in str(refused.value)
+
+
+def test_a_stored_configuration_is_read_with_present_names() -> None:
+    stored = {
+        "optimizer": {"_target_": "baselines.pso.PSO", "particles": 20},
+        "problem": {"name": "baselines.pso.PSO", "parts": [{"_target_": "miho.models.Pacejka"}]},
+    }
+    read = with_present_names(stored)
+    assert read["optimizer"] == {"_target_": "miho.methods.PSO", "particles": 20}
+    assert read["problem"] == stored["problem"]
 
 
 def test_the_list_is_read_without_importing_a_method() -> None:
