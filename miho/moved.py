@@ -31,6 +31,8 @@ MOVED = {
         for name in names
     },
     "miho.driving": "miho.vehicle.driving",
+    "miho.data.published_fits": "baselines.problems",
+    "miho.models.published": "baselines.problems",
     "miho.data.PublishedFit": "baselines.problems.PublishedFit",
     "miho.data.load_published": "baselines.problems.load_published",
     "miho.data.published_fit": "baselines.problems.published_fit",

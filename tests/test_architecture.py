@@ -99,6 +99,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
     "miho.testing": ({"miho.testing", "miho.optim", "miho.models"}, NUMERICS),
+    "baselines.problems": (
+        {"baselines.problems", "miho.compiled", "miho.models", "miho.data"},
+        {"numpy"},
+    ),
     "baselines": (
         {"baselines", "miho.compiled", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},

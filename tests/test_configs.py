@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from baselines.problems import published_names
 from experiments.app.build import ConfigError, build, build_optimizer, build_problem, plain
 from experiments.app.comparing import chosen_method
 from experiments.app.compose import composed
@@ -16,7 +17,6 @@ from experiments.app.options import options_of
 from experiments.app.schema import register
 from experiments.check import residual_problems
 from experiments.check.published_problems import BOXES, files, problems
-from miho.data import published_names
 from miho.identification import linear_optimum
 from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize

@@ -12,7 +12,7 @@ import pytest
 import miho
 from miho.moved import new_name
 
-PACKAGES = ["miho", *(f"miho.{name}" for name in (
+PACKAGES = ["miho", "baselines.problems", *(f"miho.{name}" for name in (
     "analysis", "data", "identification", "methods", "models", "study",
     "vehicle.data", "vehicle.driving", "vehicle.models"))]  # fmt: skip
 HEAVY = [

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from miho.core import machine
-from miho.data import published_names
 
 ROOT = Path(__file__).parent.parent
 
@@ -45,7 +44,6 @@ def test_the_wheel_contains_only_miho(wheel: Path) -> None:
     assert "miho/py.typed" in names
     tires = {f"miho/vehicle/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")}
     assert tires <= set(names)
-    assert {f"miho/data/published/{name}.txt" for name in published_names()} <= set(names)
     pages = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "miho/analysis/pages/templates").iterdir()

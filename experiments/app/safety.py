@@ -22,7 +22,7 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.resolvers import oc
 
-import baselines
+import baselines.problems
 import miho.data
 import miho.identification
 import miho.methods
@@ -41,8 +41,8 @@ from miho.study.redaction import holds_secret, names_secret, redacted
 T = TypeVar("T")
 
 HOMES: Mapping[type, tuple[ModuleType, ...]] = {
-    Model: (miho.models, miho.vehicle.models),
-    Dataset: (miho.data, miho.vehicle.data),
+    Model: (miho.models, miho.vehicle.models, baselines.problems),
+    Dataset: (miho.data, miho.vehicle.data, baselines.problems),
     Loss: (miho.identification,),
     Optimizer: (miho.optim, miho.methods),
 }

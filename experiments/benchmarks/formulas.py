@@ -20,6 +20,7 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
+from baselines.problems.published_model import FORMS, PublishedModel
 from experiments.benchmarks.bars import (
     AT_LEAST,
     AT_MOST,
@@ -33,7 +34,6 @@ from miho.core import Tape, machine
 from miho.models.expression import Expression
 from miho.models.formula_tape import traced_tapes
 from miho.models.function_model import FunctionModel
-from miho.models.published import FORMS, PublishedModel
 from miho.quantities import Array
 from miho.vehicle.data import embedded_tire
 from miho.vehicle.models import Pacejka, PacejkaCurvature, load_tir

@@ -26,9 +26,8 @@ import scipy.optimize
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from miho.data import PublishedFit, published_fit, published_names
+from baselines.problems import PublishedFit, PublishedModel, published_fit, published_names
 from miho.identification import CurveFit, make_report
-from miho.models import PublishedModel
 from miho.optim import MIHOGN, Parameter, Space, minimize
 
 Array = NDArray[np.float64]

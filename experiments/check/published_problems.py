@@ -1,4 +1,4 @@
-"""Write conf/problem of the published problems: each of miho/data/published in two boxes, by rule.
+"""Write conf/problem of the published problems: each published fit in two boxes, by rule.
 
 python -m experiments.check.published_problems
 
@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 from omegaconf import OmegaConf
 
-from miho.data import PublishedFit, published_fit, published_names
-from miho.models import PublishedModel
+from baselines.problems import PublishedFit, PublishedModel, published_fit, published_names
 
 PROBLEMS = Path(__file__).parents[2] / "conf" / "problem"
 WIDTH = 100

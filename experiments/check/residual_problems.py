@@ -5,7 +5,7 @@ python -m experiments.check.residual_problems
 `mw_...` are the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009), `cr_...` systems of Cartis
 and Roberts (Math. Prog. Comp. 11, 2019) that exist for eight to twelve variables. A system is used
 if its formula gives their printed sum of squares at the starting point, or if it is in an older
-publication (`miho.models.published.cartis_roberts`). A name ends in the number of variables, and in
+publication (`baselines.problems.cartis_roberts`). A name ends in the number of variables, and in
 `far` if the starting point is ten times as far from zero.
 
 Both sets are unconstrained. Here, each variable has a box around its starting value x, from
@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from omegaconf import OmegaConf
 
+from baselines.problems import PublishedFit, PublishedModel, ResidualSystem, published_fit
 from experiments.check.published_problems import (
     PROBLEMS,
     WIDTH,
@@ -37,8 +38,6 @@ from experiments.check.published_problems import (
     optimum_of,
     write,
 )
-from miho.data import PublishedFit, published_fit
-from miho.models import PublishedModel, ResidualSystem
 
 Array = NDArray[np.float64]
 

@@ -8,18 +8,10 @@ if TYPE_CHECKING:
     from miho.data.csv import CSVError, load_csv
     from miho.data.dataset import Dataset
     from miho.data.mat import load_mat
-    from miho.data.published_fits import (
-        PublishedFit,
-        load_published,
-        published_fit,
-        published_names,
-        zero_residuals,
-    )
     from miho.data.stacking import stacked
 
 __all__ = [
-    "CSVError", "Dataset", "PublishedFit", "load_csv", "load_mat", "load_published",
-    "published_fit", "published_names", "stacked", "zero_residuals",
+    "CSVError", "Dataset", "load_csv", "load_mat", "stacked",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

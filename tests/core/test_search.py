@@ -20,13 +20,13 @@ import pytest
 from numpy.typing import NDArray
 
 import tests.core.python_bracket as python_bracket
+from baselines.problems import PublishedModel, published_fit, published_names
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.compiled import gauss_newton, triangular
 from miho.compiled.gauss_newton_candidates import SIZE
 from miho.compiled.gauss_newton_machine import PAUSED
 from miho.core import Instruction, Tape, machine
-from miho.data import published_fit, published_names
-from miho.models import FunctionModel, PublishedModel
+from miho.models import FunctionModel
 from miho.optim import (
     MIHOGN,
     Budget,

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 import miho.core.tape
+from baselines.problems.published_model import FORMS, PublishedModel
 from miho.core import OPERATIONS, Instruction, Tape, TapeError, machine
 from miho.core.tape import WITH_SCALAR
 from miho.models.expression import Expression
 from miho.models.formula_tape import tape_of
-from miho.models.published import FORMS, PublishedModel
 from miho.models.symbolic import argument, gradient, trace
 from miho.vehicle.models import Pacejka
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from baselines.problems import published_fit
 from experiments.check import nist
-from miho.data import published_fit
 
 
 @pytest.mark.parametrize("name", nist.nist_names())

@@ -8,12 +8,12 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from baselines.problems.published_model import FORMS, PublishedModel
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
 from miho.core import machine
 from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.models.expression import Expression
 from miho.models.model import DifferencedModel, Model
-from miho.models.published import FORMS, PublishedModel
 from miho.optim import MIHOGN, BudgetExhausted
 from miho.vehicle.models import Pacejka, PacejkaCurvature, TorqueCubic
 from tests.identification import published

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from baselines.problems import PublishedModel, load_published
 from miho.compiled.gauss_newton_candidates import SLOPES, GNCandidates
 from miho.compiled.kernel import Formula
-from miho.data import Dataset, load_published
+from miho.data import Dataset
 from miho.identification import CurveFit, linear_optimum
 from miho.identification.loss import Huber
 from miho.models import FunctionModel
 from miho.models.expression import Expression
-from miho.models.published import PublishedModel
 from miho.optim import (
     MIHOGN,
     Budget,

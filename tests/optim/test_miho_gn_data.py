@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from miho.data import Dataset, load_published, published_fit
+from baselines.problems import PublishedModel, load_published, published_fit
+from miho.data import Dataset
 from miho.identification import CurveFit
-from miho.models.published import PublishedModel
 from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, minimize
 from tests.optim.decays import SPACE, Decay, fit
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from miho.data import zero_residuals
-from miho.models import ResidualSystem
+from baselines.problems import ResidualSystem, zero_residuals
+from baselines.problems.residual_systems import SYSTEMS
 from miho.models.model import central_differences
-from miho.models.published.systems import SYSTEMS
 
 STARTS = {
     # the table of medium-sized problems of Cartis and Roberts (2019)

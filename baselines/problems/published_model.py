@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from baselines.problems import kinetics, mgh, nist
+from baselines.problems.form import Form
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
-from miho.models.published import kinetics, mgh, nist
-from miho.models.published.form import Form
 
 FORMS: Mapping[str, Form] = {**nist.FORMS, **mgh.FORMS, **kinetics.FORMS}
 

@@ -1,4 +1,4 @@
-"""Published regression problems: data, starting points and optima, in files of this package."""
+"""Published regression problems: data, starting points and optima, in the files of `data`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.validate import whole
 
-FOLDER = Path(__file__).with_name("published")
+FOLDER = Path(__file__).with_name("data")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class PublishedFit:
     collection : str
         The collection that contains the problem: nist, mgh or bw.
     model : str
-        The formula's name in `miho.models.PublishedModel`.
+        The formula's name in `PublishedModel`.
     starts : tuple of tuple of float
         Starting points.
     optimum : tuple of float
@@ -60,7 +60,7 @@ def published_names() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> from miho.data import published_names
+    >>> from baselines.problems import published_names
     >>> published_names()[:3]
     ('bard', 'bennett5', 'biggs')
     """
@@ -92,7 +92,7 @@ def published_fit(name: str) -> PublishedFit:
 
     Examples
     --------
-    >>> from miho.data import published_fit
+    >>> from baselines.problems import published_fit
     >>> fit = published_fit("misra1a")
     >>> fit.optimum, len(fit.dataset)
     ((238.94212918, 0.00055015643181), 14)
@@ -141,7 +141,7 @@ def load_published(name: str) -> Dataset:
 
 
 def zero_residuals(rows: int) -> Dataset:
-    """Data of a system of residuals, whose model is `miho.models.ResidualSystem`.
+    """Data of a system of residuals, whose model is `ResidualSystem`.
 
     Parameters
     ----------

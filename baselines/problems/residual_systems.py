@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.problems import cartis_roberts, discretized, more_wild
+from baselines.problems.system import System
 from miho.models.model import Model
-from miho.models.published import cartis_roberts, discretized, more_wild
-from miho.models.published.system import System
 from miho.quantities import Array
 from miho.validate import whole
 
@@ -25,7 +25,7 @@ class ResidualSystem(Model):
     """A published system of residuals of `length` variables, without units.
 
     Parameters are x1, x2, .... The input `row` is the number of a residual, from 1. The output is
-    the residual, so the data are zeros (`miho.data.zero_residuals`). A row is one equation and may
+    the residual, so the data are zeros (`zero_residuals`). A row is one equation and may
     depend on all variables. Derivatives by the complex step are exact up to rounding (Squire and
     Trapp, SIAM Review 40, 1998).
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.models.published.form import Form
+from baselines.problems.form import Form
 
 Inputs = tuple[Any, ...]
 Theta = tuple[Any, ...]

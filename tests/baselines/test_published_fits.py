@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from miho.data import PublishedFit, load_published, published_fit, published_names
+from baselines.problems import (
+    PublishedFit,
+    PublishedModel,
+    load_published,
+    published_fit,
+    published_names,
+)
+from baselines.problems.published_model import FORMS
 from miho.identification import CurveFit
-from miho.models import PublishedModel
-from miho.models.published import FORMS
 from miho.optim import Parameter, Space
 
 NIST = [name for name in published_names() if published_fit(name).collection == "nist"]
