@@ -91,10 +91,10 @@ def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_p
 
 
 def test_the_line_of_a_run_says_what_its_workers_did() -> None:
-    identity: Any = SimpleNamespace(problem="tire", optimizer="miho_asynchronous", seed=0)
+    identity: Any = SimpleNamespace(problem="tire", optimizer="miho_gn_asynchronous", seed=0)
     usage = Usage(32, here=9, each=1e-6, at_a_time=1).stored
     result = {"loss": 4.0, "facts": {"unit": "N"}, "rejected": {}, "evaluations": 9, "seconds": 0.5}
-    line = "tire miho_asynchronous seed 0: 2 N, 9 evaluations, 0.50 s (ran)"
+    line = "tire miho_gn_asynchronous seed 0: 2 N, 9 evaluations, 0.50 s (ran)"
     said = "; evaluations made here, 1 µs each: too short for 32 workers, so one at a time"
     assert result_line(identity, result | {"usage": usage}, Status.RAN) == line + said
     # One process needs no remark, and runs that were stored before have none.

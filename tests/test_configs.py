@@ -239,6 +239,13 @@ def test_losses(loss: str) -> None:
     assert type(experiment.problem.rho).__name__.lower() == loss
 
 
+def test_a_removed_option_names_its_successor() -> None:
+    with pytest.raises(ConfigError, match="was removed; use miho_gn_asynchronous"):
+        composed(["optimizer=miho_asynchronous"])
+    with pytest.raises(ConfigError, match=r"use miho\.optim\.AsynchronousMIHOGN"):
+        build(composed(["dataset=tire_lf", "optimizer._target_=miho.optim.AsynchronousMIHO"]))
+
+
 @pytest.mark.parametrize("budget", options("budget"))
 def test_budgets(budget: str) -> None:
     assert build(composed([f"budget={budget}"])).budget != Budget()
@@ -250,7 +257,7 @@ def test_the_arena_is_everything_but_what_it_says() -> None:
     assert list(sets.problems) == list(SETS)
     assert sorted([*comparison.problems, *sets.problems]) == options("problem")
     assert set(options("optimizer")) - set(comparison.methods) == {
-        "gbo_small", "gbo_large", "miho_asynchronous", "miho_gn_asynchronous"
+        "gbo_small", "gbo_large", "miho_gn_asynchronous"
     }  # fmt: skip
 
 

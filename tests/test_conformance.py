@@ -24,7 +24,7 @@ SLOW = {
 EVALUATIONS = {
     "optuna_tpe": 150, "optuna_cmaes": 300, "ngopt": 100, "dehb": 100,
     "cma_es": 3000, "differential_evolution": 3000, "dual_annealing": 3000,
-    "dfo_ls": 1000, "miho_asynchronous": 3000,
+    "dfo_ls": 1000,
 }  # fmt: skip
 """Of methods that take a tenth of a millisecond and more for each; the others have 20,000."""
 

@@ -21,7 +21,7 @@ PUBLIC = [
 ]
 PENDING = {
     "miho.methods": "RandomSearch",
-    "miho.optim": "Arrivals AsynchronousMIHO AsynchronousMIHOGN Checkpoint Clock Descent Meter "
+    "miho.optim": "AsynchronousMIHOGN Checkpoint Clock Descent Meter "
     "Minimum Rung Starts Trace hyperband_table in_optimum",
     "miho.vehicle.models": "BrakeCommand FrontRear",
 }

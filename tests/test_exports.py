@@ -52,6 +52,11 @@ def test_modules_are_attributes_and_nothing_else_is() -> None:
         exec("from miho.models import pacejka")
 
 
+def test_a_removed_name_names_its_successor() -> None:
+    with pytest.raises(ImportError, match="AsynchronousMIHO was removed; use AsynchronousMIHOGN"):
+        exec("from miho.optim import AsynchronousMIHO")
+
+
 @pytest.mark.parametrize(
     ("statement", "new"),
     [

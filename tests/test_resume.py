@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,8 @@ from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import HERE, run
 from experiments.app.schema import SweepConfig, register
-from experiments.check import replay
 from miho.parallel import worth
 from miho.study.files import JOURNAL
-from miho.study.store import read_run
 
 MODEL = """
 import os
@@ -168,24 +165,6 @@ def test_workers_are_no_part_of_a_run(plain: Runs, capsys: pytest.CaptureFixture
     plain("workers=2", "evaluation_limit=100")
     assert plain.calls == calls
     assert len(list(plain.folder.glob("runs/*/*/*/result.json"))) == 1
-
-
-@pytest.mark.parametrize("method", ["miho", "miho_asynchronous", "miho_gn_asynchronous"])
-def test_a_stored_run_is_repeated_with_the_decisions_that_it_made(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str
-) -> None:
-    runs = Runs(tmp_path / "runs")
-    runs(f"optimizer={method}", "workers=3", "budget.evaluations=120")
-    (folder,) = (path.parent for path in runs.folder.glob("runs/*/*/*/result.json"))
-    stored = read_run(folder)
-    assert bool(stored.result["arrivals"]) == ("asynchronous" in method)
-    for workers in (1, 2):
-        assert replay.check([folder], workers, trusted=True) == 0
-    assert "the same to the last bit\n" in capsys.readouterr().out
-    stored = replace(stored, result={**stored.result, "loss": stored.result["loss"] * (1 + 1e-15)})
-    assert replay.differences(stored, replay.repeated(stored, trusted=True)) == [
-        f"loss is {runs.result[0]!r}, was {stored.result['loss']!r}"
-    ]
 
 
 def test_how_a_function_was_called_is_stored(plain: Runs) -> None:

@@ -153,6 +153,8 @@ def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str
     place = "" if chosen else f"{str(error).partition(':')[0]}: "  # the file that chooses it
     if name in EXTRAS.get(group, ()):
         return f"{place}{group}={name}: is not installed; pip install 'miho[launchers]'"
+    if f"{group}={name}" in RENAMED:
+        return f"{place}{group}={name}: {RENAMED[f'{group}={name}']}"
     return place + unknown_message(f"{group}={name}", error.options or ())
 
 

@@ -20,6 +20,7 @@ from experiments.app.safety import (
     guard_environment,
     nested_target,
 )
+from experiments.app.schema import RENAMED
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
 
@@ -70,7 +71,8 @@ def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
     try:
         return find_target(path, kind)
     except TargetError as error:
-        raise ConfigError(f"{key}._target_: {error}") from None
+        former = f"{path}: {RENAMED[path]}" if isinstance(path, str) and path in RENAMED else error
+        raise ConfigError(f"{key}._target_: {former}") from None
     except ImportError as error:
         raise MissingLibraryError(f"{key}: {error}") from None
 

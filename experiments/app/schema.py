@@ -247,9 +247,12 @@ class Config:
 RENAMED = {
     "drive.mu": "is now two settings: drive.performance_factor, the share of the tires' grip that "
     "the plan uses (the paper's mu), and drive.road_friction, the friction of the road",
+    "optimizer=miho_asynchronous": "was removed; use miho_gn_asynchronous, or miho with workers",
+    "miho.optim.AsynchronousMIHO": "was removed; use miho.optim.AsynchronousMIHOGN, or "
+    "miho.optim.MIHO with workers",
     "problem.compressed": "was removed, because losses are summed over all rows; leave it out",
 }
-"""Messages on settings that were renamed, by their former names."""
+"""Messages on settings, options and classes that were renamed or removed, by former name."""
 
 
 def register() -> None:

@@ -24,15 +24,23 @@ import pandas as pd
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import PROCESSES, started
 from experiments.benchmarks.simulation_times import simulation_times
-from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, forms, search
+from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
 from experiments.benchmarks.virtual_workers import virtual_search
 from miho.analysis.figures.workers import many_workers_figure
-from miho.optim import MIHO, MIHOGN, Budget, RandomSearch, minimize
+from miho.optim import MIHO, MIHOGN, AsynchronousMIHOGN, Budget, Optimizer, RandomSearch, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
 
-METHODS = forms("MIHO", MIHO, R=1000, eta=10) | forms("MIHO-GN", MIHOGN)
-SMALL = forms("MIHO", MIHO, R=27, eta=3) | forms("MIHO-GN", MIHOGN, brackets=3)
+METHODS: dict[str, Optimizer] = {
+    "MIHO": MIHO(R=1000, eta=10),
+    "MIHO-GN": MIHOGN(),
+    "MIHO-GN, asynchronous": AsynchronousMIHOGN(),
+}
+SMALL: dict[str, Optimizer] = {
+    "MIHO": MIHO(R=27, eta=3),
+    "MIHO-GN": MIHOGN(brackets=3),
+    "MIHO-GN, asynchronous": AsynchronousMIHOGN(brackets=3),
+}
 """Searches that sleeping workers finish within half a minute."""
 SIZES = (1, 3, 10, 32, 100, 316, 1000, 3162, 10_000)
 REAL_SIZES = (1, 2, 4, 8, 16, 32, 64)

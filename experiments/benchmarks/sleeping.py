@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -32,8 +30,6 @@ from miho.quantities import Array
 SIGMA = 0.7
 """Standard deviation of the natural logarithm of log-normal times."""
 ROWS, NOISE = 60, 0.05
-ASYNCHRONOUS = "Asynchronous"
-"""Prefix of the class name of an asynchronous form."""
 
 
 @dataclass(frozen=True)
@@ -138,14 +134,6 @@ class Search:
     loss: float
 
 
-def forms(name: str, method: Callable[..., Optimizer], **settings: Any) -> dict[str, Optimizer]:
-    """A method with some settings by name, and its asynchronous form if there is one."""
-    library = importlib.import_module("miho.optim")
-    other = getattr(library, ASYNCHRONOUS + method.__name__, None)
-    both = {name: method(**settings)}
-    return both if other is None else both | {f"{name}, asynchronous": other(**settings)}
-
-
 def search(
     optimizer: Optimizer,
     problem: LeastSquaresProblem,
@@ -156,7 +144,7 @@ def search(
 ) -> Search:
     """Search like `minimize`, with running workers, real or virtual.
 
-    A method and its asynchronous form use the same random numbers, so that their seeds are paired.
+    `MIHOGN` and `AsynchronousMIHOGN` use the same random numbers, so that their seeds are paired.
     """
     oracle = Oracle(
         problem.spread(evaluations),
@@ -165,7 +153,7 @@ def search(
         clock=clock,
         evaluations=evaluations,
     )
-    name = type(optimizer).__name__.removeprefix(ASYNCHRONOUS)
+    name = type(optimizer).__name__.removeprefix("Asynchronous")
     with contextlib.suppress(BudgetExhausted):
         optimizer.run(oracle, stream("own", problem.name, seed, name))
     seconds = oracle.seconds

@@ -5,15 +5,12 @@ python -m experiments.benchmarks.workers [--quick] [--output FOLDER]
 With sleeping models a machine of few cores can run many workers. *Efficiency* is the total seconds
 of the evaluations over the wall seconds times the number of workers, in batches of equal
 evaluations of 100 ms, the median of five runs. Workers start before the measurement; the time of
-their start is listed separately. *Throughput* is evaluations per second of MIHO and of its
-asynchronous form with log-normal evaluation times; final errors come from more seeds, on virtual
-workers. *Cheap* is the cost of `workers=2` relative to `workers=1` for a model of 1 µs, in
-alternating calls of `minimize`.
+their start is listed separately. *Cheap* is the cost of `workers=2` relative to `workers=1` for a
+model of 1 µs, in alternating calls of `minimize`.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Iterator
@@ -22,23 +19,15 @@ from itertools import chain
 
 import numpy as np
 import pandas as pd
-from scipy.stats import mannwhitneyu
 
 from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
-from experiments.benchmarks.sleeping import (
-    SIGMA,
-    Lengths,
-    Sleeping,
-    forms,
-    search,
-)
-from experiments.benchmarks.virtual_workers import virtual_search
+from experiments.benchmarks.sleeping import Lengths, Sleeping, search
 from miho.analysis.figures.workers import efficiency_figure
-from miho.optim import MIHO, MIHOGN, Budget, Optimizer, Problem, RandomSearch, Space, minimize
+from miho.optim import MIHO, Budget, Optimizer, Problem, RandomSearch, Space, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
 
@@ -49,16 +38,8 @@ PER_CORE, REPEATS = 8, 5
 EACH = 20
 """Least number of evaluations per worker; the total is at least a batch of 64."""
 LIMITS = {8: 0.9, 64: 0.8}
-MANY = 32
-FASTER = 1.5
 CHEAP = 5.0
 HARMONICS = np.arange(1.0, 21.0)
-SEEDS, SAME = 100, 1.05
-"""Number of seeds, and the largest ratio of medians of final errors that counts as equal: 1 plus
-2.5 standard errors of the ratio. There is no bar with fewer seeds."""
-FORMS = ("MIHO", "MIHO, asynchronous")
-OVERHEAD = 5e-4
-"""Seconds of the client per task of virtual workers, which hardly affect final errors."""
 
 
 def sizes_of(engine: str) -> list[int]:
@@ -91,45 +72,6 @@ def efficiencies(quick: bool) -> Iterator[dict[str, object]]:
                         "start_seconds": start,
                         "efficiency": SECONDS * count / (size * ended.seconds),
                     }
-
-
-def throughputs(quick: bool) -> Iterator[dict[str, object]]:
-    """A row for each form of MIHO and seed, by real workers until the method ends."""
-    size, settings = (8, {"R": 9, "eta": 3}) if quick else (MANY, {"R": 100, "eta": 3})
-    with started(PROCESSES, size) as (pool, _):
-        for seed in range(1 if quick else 3):
-            for form, optimizer in forms("MIHO", MIHO, **settings).items():
-                problem = Sleeping(Lengths(SECONDS, SIGMA))
-                ended = search(optimizer, problem, Evaluations(pool), Budget(), seed)
-                yield {
-                    "kind": "throughput",
-                    "name": form,
-                    "workers": size,
-                    "seed": seed,
-                    "evaluations": ended.evaluations,
-                    "seconds": ended.seconds,
-                    "per_second": ended.evaluations / ended.seconds,
-                    "efficiency": ended.work / (size * ended.seconds),
-                }
-
-
-def final_errors(quick: bool) -> Iterator[dict[str, object]]:
-    """A row for each form of MIHO and seed, by virtual workers until the method ends."""
-    lengths = Lengths(SECONDS, SIGMA)
-    best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
-    for seed in range(10 if quick else SEEDS):
-        for form, optimizer in forms("MIHO", MIHO, R=100, eta=3).items():
-            ended = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
-            yield {
-                "kind": "final error",
-                "name": form,
-                "workers": MANY,
-                "seed": seed,
-                "evaluations": ended.evaluations,
-                "seconds": ended.seconds,
-                "per_second": ended.evaluations / ended.seconds,
-                "error": float(np.sqrt(ended.loss / best)),
-            }
 
 
 class Bowl(Problem):
@@ -183,31 +125,15 @@ def _bars(frame: pd.DataFrame) -> list[Bar]:
             if several.size:
                 name = f"efficiency of {size} workers, {engine}"
                 bars.append(Bar(name, several.median(), AT_LEAST, limit))
-    faster = _ratio(frame[frame["workers"] == MANY], "throughput", "per_second")
-    if not math.isnan(faster):
-        name = f"throughput at {MANY} workers, asynchronous against synchronous"
-        bars.append(Bar(name, faster, AT_LEAST, FASTER, "times"))
-    worse = _ratio(frame, "final error", "error")
-    if not math.isnan(worse) and frame["seed"].max() == SEEDS - 1:
-        name = "median final error, asynchronous against synchronous"
-        bars.append(Bar(name, worse, AT_MOST, SAME, "times"))
     for form, turns in frame[frame["kind"] == "cheap"].groupby("name"):
         loss = 100 * float((turns["seconds_2"] / turns["seconds_1"]).median() - 1)
         bars.append(Bar(f"workers=2 against workers=1, {form} model", loss, AT_MOST, CHEAP, "%"))
     return bars
 
 
-def _ratio(frame: pd.DataFrame, kind: str, column: str) -> float:
-    """Asynchronous median of a column over the synchronous median; NaN if one is missing."""
-    rows = frame[frame["kind"] == kind]
-    synchronous, asynchronous = (rows[rows["name"] == form][column].median() for form in FORMS)
-    return float(asynchronous) / float(synchronous)
-
-
 def measure(quick: bool) -> Measured:
     """Measure all rows; the table has the medians over seeds and turns."""
-    parts = cheap(quick), efficiencies(quick), throughputs(quick), final_errors(quick)
-    frame = pd.DataFrame(list(shown(chain(*parts))))
+    frame = pd.DataFrame(list(shown(chain(cheap(quick), efficiencies(quick)))))
     numbers = [column for column in frame if column not in ("kind", "name", "seed", "says")]
     groups = frame.assign(workers=frame["workers"].fillna(1)).groupby(
         ["kind", "name", "workers"], sort=False
@@ -217,12 +143,6 @@ def measure(quick: bool) -> Measured:
     notes = [f"cheap, {row['name']}, workers=2 says: {row['says']}"
              for row in frame[frame["kind"] == "cheap"].groupby("name").last().reset_index()
              .to_dict("records")]  # fmt: skip
-    errors = frame[frame["kind"] == "final error"].groupby("name")["error"].apply(list)
-    if set(FORMS) <= set(errors.index):
-        p = mannwhitneyu(*(errors[form] for form in FORMS)).pvalue
-        notes.append(f"final errors relative to the optimum, both forms: Mann-Whitney p = {p:.2g}")
-    else:
-        notes.append(f"left out: {FORMS[1]}, which miho.optim does not have")
     left_out = len(SIZES) - len(sizes_of(DASK))
     if left_out:
         notes.append(
@@ -230,7 +150,7 @@ def measure(quick: bool) -> Measured:
         )
     if len(engines()) == 1:
         notes.append("left out: Dask, which is not installed (extra cluster)")
-    facts = {"seconds": SECONDS, "sigma": SIGMA, "batch": BATCH, "seeds": "column seed"}
+    facts = {"seconds": SECONDS, "batch": BATCH, "seeds": "column seed"}
     return Measured(table.astype(object).fillna(""), frame, _bars(frame), notes, facts)
 
 

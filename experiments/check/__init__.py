@@ -14,7 +14,6 @@ nist                correct digits on NIST's problems, compared with SciPy and l
 optima              the best known optimum of each problem, computed again
 published_problems  writes conf/problem of the published problems by their rule
 printed_equations   both field tests with the printed and with the corrected equations
-replay              whether stored runs are repeated to the last bit
 row_order           parameters that the first rows of an order determine
 same_by_workers     whether a run is the same with any kind and number of workers
 stated_coverage     coverage with ties, priors, sigma and several datasets

@@ -63,7 +63,6 @@ STYLES = {
     "miho_gn_asynchronous": MethodStyle("MIHO-GN, asynchronous", RED, DASHED, 1.8),
     "miho_qn": MethodStyle("MIHO-QN", _PINK, SHORT_DASHES, 1.8),
     "miho": MethodStyle("MIHO", RED, SOLID, 2.2),
-    "miho_asynchronous": MethodStyle("MIHO, asynchronous", RED, LONG_DASHES, 1.6),
     "miho_reference": MethodStyle("MIHO, public code", _PINK, DASHED, 1.6),
     "miho_no_mutation": MethodStyle("MIHO, no mutation", RED, DOTTED, 1.6),
     "hyperband": MethodStyle("Hyperband", _PINK, SOLID),

@@ -1,10 +1,8 @@
 """Optimisation: problems, methods, and the oracle that evaluates and counts."""
 
-from miho.optim.asynchronous_miho import AsynchronousMIHO
 from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
 from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.meter import (
-    Arrivals,
     Budget,
     BudgetExhausted,
     Clock,
@@ -29,9 +27,7 @@ __all__ = [
     "MIHOGN",
     "MIHOQN",
     "Agreement",
-    "Arrivals",
     "AskTell",
-    "AsynchronousMIHO",
     "AsynchronousMIHOGN",
     "Budget",
     "BudgetExhausted",
@@ -61,3 +57,14 @@ __all__ = [
     "in_optimum",
     "minimize",
 ]
+
+REMOVED = {
+    "Arrivals": "a journal repeats an asynchronous run: minimize(..., journal=FILE)",
+    "AsynchronousMIHO": "use AsynchronousMIHOGN, or MIHO, whose batches workers evaluate",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in REMOVED:
+        raise ImportError(f"miho.optim.{name} was removed; {REMOVED[name]}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

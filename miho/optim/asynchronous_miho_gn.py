@@ -74,9 +74,9 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
     of the search discards active brackets. The settings are the same as for `MIHOGN`.
 
     The decisions depend only on when several brackets were active and on the order in which rounds
-    ended (`record.arrivals` repeats it). Brackets run one after the other, as in `MIHOGN`, with one
-    worker, with residuals of the machine, if all parameters are linear, and until evaluations are
-    known to be expensive enough for one worker each.
+    ended; a journal repeats both. As in `MIHOGN`, brackets run one after the other with one worker,
+    with residuals of the machine, if all parameters are linear, and until evaluations are known to
+    be expensive enough for one worker each.
     """
 
     @cached_property

@@ -89,27 +89,15 @@ class Provisional(NamedTuple):
 
 
 @dataclass
-class Arrivals:
-    """Order in which the evaluations of a run arrived, as far as the method depended on it.
-
-    After `alone` evaluations one at a time, `workers` made them (0 until then). `positions` are the
-    results of `Oracle.first_ready` with a choice.
-    """
-
-    workers: int = 0
-    positions: list[int] = field(default_factory=list)
-    alone: float = 0
-
-
-@dataclass
 class Meter:
     """Counts and results of a run; with the state of the method, all that a resumed run needs.
 
     `unfinished` has the losses of an interrupted batch: a second evaluation of the batch continues
     after them. `rejected` counts unusable values by reason. `outside` counts configurations outside
     the bounds of the space: their values are used, but a method should not propose them. `starts`
-    records the descents of the run, `arrivals` the order of evaluations in an asynchronous method,
-    and `provisional` the best configuration on fewer rows until one is evaluated on all rows.
+    records the descents of the run, `at_a_time` the simultaneous evaluations of an asynchronous
+    method, and `provisional` the best configuration on fewer rows until one is evaluated on all
+    rows.
     """
 
     evaluations: float = 0
@@ -121,7 +109,7 @@ class Meter:
     unfinished: list[float] = field(default_factory=list)
     outside: int = 0
     starts: Starts = field(default_factory=Starts)
-    arrivals: Arrivals = field(default_factory=Arrivals)
+    at_a_time: int = 1
     provisional: Provisional | None = None
 
     def note(self, cost: float, losses: Array, thetas: Array) -> None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from miho.optim.meter import Arrivals, Budget, BudgetExhausted, Meter, RunInterrupted
+from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import Problem
@@ -89,8 +89,6 @@ class RunRecord:
         Summary of the descents of a method that makes several.
     usage : Usage, optional
         Use of the workers; None without workers and journal.
-    arrivals : Arrivals, optional
-        Order of evaluations in an asynchronous method; None with one worker.
     provisional : ndarray of shape (d,), optional
         Best configuration on fewer than all rows of the data, if none was evaluated on all of them.
     """
@@ -109,7 +107,6 @@ class RunRecord:
     outside: int = 0
     descents: Descents | None = None
     usage: Usage | None = None
-    arrivals: Arrivals | None = None
     provisional: Array | None = None
 
 
@@ -124,7 +121,6 @@ def minimize(
     workers: Workers | Evaluations = None,
     evaluation_limit: float | None = None,
     journal: JournalFile = None,
-    replay: Arrivals | None = None,
 ) -> RunRecord:
     """Minimise the loss of a problem with one method; always returns a record.
 
@@ -150,16 +146,13 @@ def minimize(
     workers : int, str, executor or callable, optional
         Workers for expensive problems: a number of processes (-1 for one per core), an executor of
         `concurrent.futures`, a callable like `map`, or the address of a cluster
-        (`miho.parallel.pool`). The result does not depend on them, except for asynchronous methods.
+        (`miho.parallel.pool`). The result does not depend on them, except for `AsynchronousMIHOGN`.
     evaluation_limit : float, optional
         Longest time of an evaluation, in seconds. A longer one has no value, nor has an evaluation
         whose worker dies three times.
     journal : path, optional
         File that stores every evaluation longer than about 10 ms. The same run, called again after
         an interruption, reuses them and repeats only a few, to check the model.
-    replay : Arrivals, optional
-        `arrivals` of an earlier run of an asynchronous method, to repeat its decisions with any
-        workers.
 
     Returns
     -------
@@ -200,7 +193,7 @@ def minimize(
         setup_seconds = time.perf_counter() - setup_started
         oracle = Oracle(
             spread, budget or Budget(), space=space, meter=meter, observer=observer,
-            evaluations=evaluations, replay=replay,
+            evaluations=evaluations,
         )  # fmt: skip
         outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
         oracle.stop()
@@ -224,7 +217,6 @@ def minimize(
         outside=meter.outside,
         descents=Descents.of(meter.starts, meter.best, outcome is Outcome.CONVERGED),
         usage=None if evaluations is None else evaluations.usage,
-        arrivals=meter.arrivals if meter.arrivals.positions else None,
         provisional=None if len(meter.trace) or early is None else early.theta,
     )
 

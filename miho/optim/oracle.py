@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from miho.compiled import Block, Kernel
 from miho.optim.evidence import Agreement
 from miho.optim.meter import (
-    Arrivals,
     Budget,
     BudgetExhausted,
     Clock,
@@ -62,8 +61,6 @@ class Oracle:
         Wall and CPU time.
     evaluations : Evaluations, optional
         Workers and evaluation log.
-    replay : Arrivals, optional
-        Order of arrivals of an earlier run, to repeat it.
 
     Attributes
     ----------
@@ -103,7 +100,6 @@ class Oracle:
         observer: Callable[[Oracle], None] | None = None,
         clock: Clock | None = None,
         evaluations: Evaluations | None = None,
-        replay: Arrivals | None = None,
     ) -> None:
         self.budget = budget
         self.space = problem.space if space is None else space
@@ -114,7 +110,6 @@ class Oracle:
         self.interrupted = False
         self._problem, self._evaluations = problem, evaluations
         self._values = UsableValues(problem, self.meter.reject)
-        self._replay = replay
         if evaluations is not None:
             evaluations.check = self._check_interrupt
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
@@ -219,21 +214,14 @@ class Oracle:
         """Largest number of simultaneous evaluations a method should ask for.
 
         It is 1 until evaluations are known to be expensive enough for one worker each, then the
-        number of workers, also in a resumed run. A replay uses the number of the original run.
+        number of workers, also in a resumed run.
         """
-        arrivals, replay, evaluations = self.meter.arrivals, self._replay, self._evaluations
-        if not arrivals.workers:
-            count = 0
-            if replay is not None:
-                count = replay.workers if self.evaluations >= replay.alone else 0
-            elif evaluations is not None and evaluations.worth_one:
-                count = evaluations.workers
-            if count > 1:
-                arrivals.workers, arrivals.alone = count, self.evaluations
-        at_a_time = max(1, arrivals.workers)
+        meter, evaluations = self.meter, self._evaluations
         if evaluations is not None:
-            evaluations.usage.at_a_time = at_a_time
-        return at_a_time
+            if meter.at_a_time == 1 and evaluations.worth_one:
+                meter.at_a_time = evaluations.workers
+            evaluations.usage.at_a_time = meter.at_a_time
+        return meter.at_a_time
 
     @property
     def spreads(self) -> bool:
@@ -276,23 +264,11 @@ class Oracle:
     def first_ready(self, needs: Sequence[Ahead]) -> int:
         """Position of the first of these evaluations that is complete; waits for one of them.
 
-        It is 0 without workers; a replay returns the position of the original run.
+        It is 0 without workers.
         """
-        if len(needs) == 1:
+        if len(needs) == 1 or self._evaluations is None:
             return 0
-        positions, position = self.meter.arrivals.positions, 0
-        replayed = [] if self._replay is None else self._replay.positions
-        if len(positions) < len(replayed):
-            position = replayed[len(positions)]
-            if not 0 <= position < len(needs):
-                raise ValueError(
-                    f"replay: arrival {len(positions)} is at position {position} of {len(needs)}; "
-                    "expected the arrivals of the same method, problem and seed"
-                )
-        elif self._evaluations is not None:
-            position = self._evaluations.first_ready(needs)
-        positions.append(position)
-        return position
+        return self._evaluations.first_ready(needs)
 
     @property
     def kernel(self) -> Kernel | None:

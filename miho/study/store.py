@@ -364,5 +364,4 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "outside": record.outside,
         "descents": None if record.descents is None else asdict(record.descents),
         "usage": None if record.usage is None else record.usage.stored,
-        "arrivals": None if record.arrivals is None else asdict(record.arrivals),
     }

@@ -33,7 +33,7 @@ from miho.compiled.kernel import Formula
 from miho.compiled.taped import TapedLoss
 from miho.core import machine
 from miho.models.expression import Expression
-from miho.optim import AsynchronousMIHO, BudgetExhausted, Clock, Outcome, RunRecord
+from miho.optim import BudgetExhausted, Clock, Outcome, RunRecord
 from miho.optim.mutation import climb_of
 from miho.optim.schedule import hyperband_table
 from miho.optim.seeds import stream
@@ -113,7 +113,7 @@ def fit() -> TapedLoss:
 
 def both(
     fit: TapedLoss,
-    optimizer: MIHO | AsynchronousMIHO,
+    optimizer: MIHO,
     budget: Budget | None = None,
     seed: int = 3,
     space: Space = SPACE,
@@ -179,22 +179,6 @@ def test_cut_anywhere_and_resumed_from_a_pickle(
             resumed = minimize(optimizer, Watched(fit, goes_on), Budget(evaluations=900), 3,
                                checkpoint=checkpoint)  # fmt: skip
             same(resumed, whole)
-
-
-@pytest.mark.parametrize("clip", ["box", "lower"])
-def test_a_chain_that_is_alone_climbs_as_it_would_step(fit: TapedLoss, clip: str) -> None:
-    """The asynchronous method without workers, cut within blocks and resumed by both paths."""
-    optimizer = AsynchronousMIHO(R=81, eta=3, clip=clip)
-    climbed, whole = both(fit, optimizer)
-    same(climbed, whole)
-    target = whole.trace.loss[-2]
-    assert both(fit, optimizer, Budget(target=target))[0].loss == target
-    for evaluations in (1, 2, 50, 333, 777):
-        cut = minimize(optimizer, Watched(fit), Budget(evaluations=evaluations), 3)
-        assert cut.evaluations == evaluations
-        checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
-        for goes_on in (True, False):
-            same(minimize(optimizer, Watched(fit, goes_on), seed=3, checkpoint=checkpoint), whole)
 
 
 def test_a_target_ends_the_run_at_the_same_improvement(fit: TapedLoss) -> None:
