@@ -1,11 +1,11 @@
 """Export the runs of a root in a format that other tools read.
 
 python -m experiments.export runs/arena --to csv                      # runs/arena/exports/csv
-python -m experiments.export runs/arena --to parquet --output FOLDER
 python -m experiments.export runs/arena ioh-folder   # IOHprofiler: IOHanalyzer, iohinspector
 
-CSV and Parquet hold two tables: one row per run, and one row per step of each curve. columns.json
-gives the meaning and the unit of each column, and the checksums of both files.
+CSV has two tables: one row per run, and one row per step of each curve. columns.json gives the
+meaning and the unit of each column, and the checksums of both files. Other formats are written by
+pandas: `miho.load_runs("runs/arena").runs.to_parquet("runs.parquet")`.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from pathlib import Path
 from experiments.app.arguments import root_folder
 from experiments.app.build import ConfigError
 from experiments.app.console import run_and_exit
-from miho.analysis.export import write_csv, write_ioh, write_parquet
+from miho.analysis.export import write_csv, write_ioh
 from miho.study import load_runs
 
-WRITERS = {"ioh": write_ioh, "csv": write_csv, "parquet": write_parquet}
+WRITERS = {"ioh": write_ioh, "csv": write_csv}
 
 
 def main() -> None:
     """Parse the arguments and export."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.export",
-        description="Export finished runs: as tables in CSV or Parquet, or in the IOHprofiler "
+        description="Export finished runs: as tables in CSV, or in the IOHprofiler "
         "format (errors over evaluations, a folder for each method), which IOHanalyzer and "
-        "iohinspector read.",
+        "iohinspector read. Parquet: miho.load_runs(root).runs.to_parquet(file).",
     )
     parser.add_argument("root", type=root_folder, help="folder of runs")
     parser.add_argument("folder", type=Path, nargs="?", help="the same as --output")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 
 
-def at_first_use(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+def at_first_use(
+    package: str, removed: Mapping[str, str] = MappingProxyType({})
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` (PEP 562) of a package with lazy exports.
 
     The package imports the names in its __init__ under `if TYPE_CHECKING`, where readers, type
@@ -21,6 +24,8 @@ def at_first_use(package: str) -> tuple[Callable[[str], object], Callable[[], li
     ----------
     package : str
         Name of the package, usually `__name__`.
+    removed : mapping of str to str, optional
+        Former names, each with its successor, for the message of the ImportError.
 
     Returns
     -------
@@ -38,6 +43,8 @@ def at_first_use(package: str) -> tuple[Callable[[str], object], Callable[[], li
     def get(name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if name in removed:
+            raise ImportError(f"{package}.{name} was removed; {removed[name]}")
         if name in sources():
             value = getattr(import_module(sources()[name]), name)
         else:

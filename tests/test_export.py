@@ -13,7 +13,7 @@ import pytest
 
 from experiments import export
 from miho import Budget, load_runs, minimize
-from miho.analysis.export import write_csv, write_parquet
+from miho.analysis.export import write_csv
 from miho.analysis.text import without_formula
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, execute
@@ -76,32 +76,6 @@ def test_csv_numbers_come_back_bit_for_bit(tmp_path: Path) -> None:
     units = {p.name: p.unit for p in DecayFit.space.parameters}
     assert columns["theta.a"]["unit"] == {"decay": units["a"]}
     assert columns["seconds"]["unit"] == "s"
-
-
-def test_parquet_round_trips_and_finds_a_damaged_page(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet", exc_type=ImportError)
-    runs, curves = nasty(root_of(tmp_path))
-    folder = tmp_path / "parquet"
-    write_parquet(runs, curves, folder)
-    for file, table in (("runs.parquet", runs), ("curves.parquet", curves)):
-        back = parquet.read_table(folder / file, page_checksum_verification=True).to_pandas()
-        for column in table.select_dtypes("number"):
-            assert same_bits(back[column], table[column]), column
-        assert back["optimizer"].tolist() == table["optimizer"].tolist()
-        check_columns(folder, file, table)
-    path = folder / "curves.parquet"
-    chunk = parquet.ParquetFile(path).metadata.row_group(0).column(list(curves).index("seconds"))
-    data = bytearray(path.read_bytes())
-    data[chunk.data_page_offset + chunk.total_compressed_size // 2] ^= 1
-    path.write_bytes(data)
-    with pytest.raises(OSError, match=r"(?i)crc|checksum|corrupt|deserialize"):
-        parquet.read_table(path, page_checksum_verification=True)
-
-
-def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'miho\[parquet\]'"):
-        write_parquet(pd.DataFrame(), pd.DataFrame(), tmp_path)
 
 
 def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

@@ -24,7 +24,7 @@ from experiments.app.build import ConfigError
 from experiments.app.instantiation import MissingLibraryError
 from experiments.app.plan import Request
 from miho.study import DamagedRun, Store, StoredRun, read_run
-from miho.study.compaction import error_of
+from miho.study.curves import error_of
 from miho.study.identity import canonical, sha256
 
 MISSING = "mlflow: is not installed; pip install 'miho[mlflow]'"

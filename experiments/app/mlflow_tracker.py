@@ -35,7 +35,7 @@ from experiments.app.mirror import (
     word,
 )
 from miho.study import StoredRun
-from miho.study.compaction import error_of
+from miho.study.curves import error_of
 from miho.study.identity import sha256
 from miho.study.places import inside
 from miho.study.provenance import flattened

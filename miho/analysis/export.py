@@ -1,12 +1,9 @@
-"""Export runs to CSV, Parquet and IOHprofiler's format."""
+"""Export runs to CSV and IOHprofiler's format."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
-import os
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,62 +57,16 @@ def write_csv(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
     folder : Path
         Folder of the files.
     """
-
-    def write_table(table: pd.DataFrame, path: Path) -> str:
-        text = csv_text(table)
-        write_text(path, text)
-        return sha256(text)
-
-    reader = 'pandas.read_csv(path), before pandas 3.1 with float_precision="round_trip"'
-    _write({"runs.csv": runs, "curves.csv": curves}, folder, reader, write_table)
-
-
-def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
-    """Write runs.parquet and curves.parquet, with a checksum on every page.
-
-    `pyarrow.parquet.read_table(path, page_checksum_verification=True)` raises on a damaged page;
-    readers that do not verify checksums return wrong numbers. Raises ModuleNotFoundError without
-    pyarrow.
-
-    Parameters
-    ----------
-    runs, curves : DataFrame
-        See `miho.load_runs`.
-    folder : Path
-        Folder of the files.
-    """
-    if importlib.util.find_spec("pyarrow") is None:
-        raise ModuleNotFoundError("parquet: pyarrow is not installed; pip install 'miho[parquet]'")
-
-    def write_table(table: pd.DataFrame, path: Path) -> str:
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            table.to_parquet(temporary, engine="pyarrow", index=False, write_page_checksum=True)
-            digest = sha256(temporary.read_bytes())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-        return digest
-
-    reader = "pyarrow.parquet.read_table(path, page_checksum_verification=True)"
-    _write({"runs.parquet": runs, "curves.parquet": curves}, folder, reader, write_table)
-
-
-def _write(
-    tables: Mapping[str, pd.DataFrame],
-    folder: Path,
-    reader: str,
-    write_table: Callable[[pd.DataFrame, Path], str],
-) -> None:
-    """Write the tables, runs first, and finally the description of their columns."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / COLUMNS).unlink(missing_ok=True)
     files: dict[str, Any] = {}
-    units = _units(next(iter(tables.values())))
-    for name, table in tables.items():
+    units = _units(runs)
+    for name, table in {"runs.csv": runs, "curves.csv": curves}.items():
         columns = {str(key): _column(str(key), kind, units) for key, kind in table.dtypes.items()}
-        digest = write_table(table, folder / name)
-        files[name] = {"sha256": digest, "rows": len(table), "columns": columns}
+        text = csv_text(table)
+        write_text(folder / name, text)
+        files[name] = {"sha256": sha256(text), "rows": len(table), "columns": columns}
+    reader = 'pandas.read_csv(path), before pandas 3.1 with float_precision="round_trip"'
     write_text(folder / COLUMNS, json.dumps({"read with": reader, "files": files}, indent=1) + "\n")
 
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
-    from miho.study.compaction import compact
     from miho.study.environment import environment_stamp, single_thread
     from miho.study.files import DamagedRun, write_bytes, write_text
     from miho.study.identity import Identity, code_digest
@@ -15,8 +14,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DamagedRun", "Execution", "Identity", "RunInUse", "Runs", "Status", "Store", "StoredRun",
-    "code_digest", "compact", "environment_stamp", "execute", "load_runs", "read_run",
+    "code_digest", "environment_stamp", "execute", "load_runs", "read_run",
     "single_thread", "write_bytes", "write_text",
 ]  # fmt: skip
 
-__getattr__, __dir__ = at_first_use(__name__)
+__getattr__, __dir__ = at_first_use(
+    __name__, {"compact": "`load_runs` reads the files of the runs, and needs no cache"}
+)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from miho.study.compaction import COLUMNS, compacted, curve_of, error_of, without_theta
+from miho.study.curves import COLUMNS, curve_of, error_of, without_theta
 from miho.study.files import CONFIG
 from miho.study.scan import CheckedRun, Damage, scan
 from miho.study.settings import Asked, Parts, differing, parts_of
@@ -55,8 +55,8 @@ class Runs:
     top: Path
     skipped: tuple[Damage, ...]
     keys: pd.DataFrame
-    texts: tuple[tuple[str, bytes], ...]
-    """For each row of `keys`, SHA-256 and text of the curve, without parameters."""
+    texts: tuple[bytes, ...]
+    """For each row of `keys`, the text of the curve, without parameters."""
 
     @property
     def curves(self) -> pd.DataFrame:
@@ -73,10 +73,10 @@ class Runs:
     @cached_property
     def _curves(self) -> tuple[pd.DataFrame, list[Damage]]:
         """The table of curves, and the malformed curves with a valid checksum."""
-        cache, malformed, rows, curves = compacted(self.top), [], [], []
-        for row, (digest, text) in enumerate(self.texts):
+        malformed, rows, curves = [], [], []
+        for row, text in enumerate(self.texts):
             try:
-                curves.append(cache[digest] if digest in cache else curve_of(text))
+                curves.append(curve_of(text))
                 rows.append(row)
             except ValueError as error:
                 folder = str(self.keys["folder"].iloc[row])
@@ -93,10 +93,10 @@ def load_runs(root: str | Path) -> Runs:
     """Read all finished runs below `root`; damaged runs are listed and skipped.
 
     Every file of every run is read and verified by its checksum, so that neither table contains
-    numbers of a damaged run. Curves are kept as text until they are requested;
-    `miho.study.compact(root)` makes that faster. Later changes on disk are not seen. Checksums
-    detect damage, not forgery: a malformed `curve.json` with a valid checksum is listed and omitted
-    from `curves`, but its row in `runs` remains.
+    numbers of a damaged run. Curves are kept as text until they are requested.
+    Later changes on disk are not seen. Checksums detect damage, not forgery: a malformed
+    `curve.json` with a valid checksum is listed and omitted from `curves`, but its row in `runs`
+    remains.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def load_runs(root: str | Path) -> Runs:
     if not top.is_dir():
         raise FileNotFoundError(f"{top}: no such folder of runs; run something first")
     rows: list[dict[str, Any]] = []
-    curves: list[tuple[str, bytes]] = []
+    curves: list[bytes] = []
     skipped: list[Damage] = []
     asked: list[Asked] = []
     configs: dict[str, Parts] = {}  # by the digest of their file; seeds share it
@@ -132,7 +132,7 @@ def load_runs(root: str | Path) -> Runs:
             skipped.append(Damage(run.folder, reason))
             continue
         rows.append(row)
-        curves.append((run.digest, without_theta(run.curve)))
+        curves.append(without_theta(run.curve))
         asked.append(request)
     table = pd.DataFrame(rows) if rows else pd.DataFrame(columns=RUN_COLUMNS)
     columns = differing(asked)
