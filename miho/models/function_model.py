@@ -11,7 +11,7 @@ import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -304,11 +304,17 @@ def declared_unit(annotation: Any, source: bool) -> str:
     a string is in quotes.
     """
     if source and isinstance(annotation, str):
-        try:
-            annotation = ast.literal_eval(annotation)
-        except (SyntaxError, ValueError):
-            return ""
+        annotation = _literal(annotation)
     return annotation if isinstance(annotation, str) else ""
+
+
+@lru_cache(maxsize=256)
+def _literal(text: str) -> Any:
+    """Return the value of a literal as source text, None for other text."""
+    try:
+        return ast.literal_eval(text)
+    except (SyntaxError, ValueError):
+        return None
 
 
 @dataclass(frozen=True)

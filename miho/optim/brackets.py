@@ -127,11 +127,16 @@ def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     already.
     """
     if decades not in space.scales:
-        space.scales[decades] = np.array([_scale(p, decades) for p in space.parameters]).T
+        space.scales[decades] = tuple(np.array([_scale(p, decades) for p in space.parameters]).T)
     scaled, negative_below, offset, slope, low, width, *ends = space.scales[decades]
     negative = u < negative_below
     near, ratio = np.where(negative, ends[0], ends[1]), np.where(negative, ends[2], ends[3])
-    shares = (near * ratio ** np.abs(offset + slope * u) - low) / width
+    shares = slope * u  # in place: a batch is small, and each new array takes time
+    shares += offset
+    np.power(ratio, np.abs(shares, out=shares), out=shares)
+    shares *= near
+    shares -= low
+    shares /= width
     return shares if scaled.all() else np.where(scaled > 0, shares, u)
 
 

@@ -18,7 +18,7 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     Minima,
 )
-from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
+from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
 from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
@@ -198,15 +198,17 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
 
     def end_phases(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the end of a bracket; then close it, or continue with other phases."""
-        endings = {
-            EMPTY: self._close,
-            RETURNED: self._after_return,
-            SOLVED: self._end,
-            FINISH: self._after_finish,
-            REVIVE: self._after_revival,
-            POLISH: self._end,
-        }
-        endings[state.phase](state, oracle)
+        phase = state.phase
+        if phase == RETURNED:
+            self._after_return(state, oracle)
+        elif phase == EMPTY:
+            self._close(state, oracle)
+        elif phase == FINISH:
+            self._after_finish(state, oracle)
+        elif phase == REVIVE:
+            self._after_revival(state, oracle)
+        else:
+            state.finished = True  # after the final descent or a linear solution
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Evaluate all residuals once, to learn their number."""
@@ -421,10 +423,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.admit(GNCandidates.at(x, levels, ENTERING, self.fading, False), levels - 1)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
         begin(state.candidates, state.place, POLISH, 1)
-
-    def _end(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """End the search, after the final descent or a linear solution."""
-        state.finished = True
 
 
 def _has_rows(oracle: Oracle) -> bool:

@@ -106,7 +106,7 @@ class MIHOGNState:
     @property
     def d(self) -> int:
         """Number of parameters."""
-        return len(self.space)
+        return self.box.low.size
 
     @property
     def phase(self) -> int:

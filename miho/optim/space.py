@@ -279,7 +279,7 @@ class Space:
         return self.encode(self.low), self.encode(self.high)
 
     @cached_property
-    def scales(self) -> dict[int, Array]:
+    def scales(self) -> dict[int, tuple[Array, ...]]:
         """Cache of `miho.optim.brackets.by_scale`, by decades."""
         return {}
 

@@ -73,10 +73,10 @@ class Descent:
     def see(self, thetas: Array, losses: Array) -> None:
         """Record a batch of configurations (n, d) with losses (n,); the first one is the start."""
         if self.start == math.inf:
-            self.start = losses[0]
+            self.start = float(losses[0])
         best = losses.argmin()
         if losses[best] < self.end:
-            self.end, self.theta = losses[best], thetas[best].copy()
+            self.end, self.theta = float(losses[best]), thetas[best].copy()
 
 
 @dataclass
@@ -108,7 +108,7 @@ class Starts:
         theta: Array | None = None,
     ) -> None:
         """Add a descent, see `Descent`."""
-        self.descents.append(Descent(start, end, finished, converged, theta))
+        self.descents.append(Descent(float(start), float(end), finished, converged, theta))
 
     def agreement(self, best: float) -> Agreement:
         """Agreement of the ends of the finished descents on the run's `best` loss.
@@ -129,7 +129,7 @@ class Starts:
     def ends(self) -> list[float]:
         """Losses at the ends of finished descents, in order."""
         return [
-            float(each.end) for each in self.descents if each.finished and abs(each.end) < math.inf
+            each.end for each in self.descents if each.finished and -math.inf < each.end < math.inf
         ]
 
 
