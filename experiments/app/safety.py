@@ -74,7 +74,7 @@ def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     if kind is Optimizer and parent == baselines.__name__ and name in _methods(module):
         return cast(Callable[..., T], getattr(importlib.import_module(home), name))
     present = new_name(path) if isinstance(path, str) else None
-    if present:
+    if present in allowed(kind):
         raise TargetError(f"{path!r} is now {present!r}")
     raise TargetError(
         f"{_shortened(path)} is not a class or function that gives a {kind.__name__}; "
