@@ -72,9 +72,11 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"miho.core", "miho.study", "miho.optim", "miho.parallel"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
     ),
+    "miho.figures": ({"miho.figures"}, NUMERICS | TABLES),
     "miho.analysis.pages": (
         {
             "miho.analysis",
+            "miho.figures",
             "miho.analysis.pages",
             "miho.study",
             "miho.identification",
@@ -82,7 +84,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         },
         NUMERICS | TABLES | {"jinja2", "markupsafe", "pooch", "vl_convert"},
     ),
-    "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
+    "miho.analysis": ({"miho.analysis", "miho.figures", "miho.study"}, NUMERICS | TABLES),
     "miho.fitting": (
         {
             "miho.core",
@@ -92,7 +94,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
             "miho.optim",
             "miho.models",
             "miho.data",
-            "miho.analysis",
+            "miho.figures",
             "miho.parallel",
         },
         NUMERICS | TABLES,
@@ -113,6 +115,14 @@ SHARED = {
     "miho.regular_file", "miho.validate",
 }  # fmt: skip
 """Below all layers: anyone may import them, and they import nobody but NumPy."""
+CORE = {
+    f"miho.{name}"
+    for name in (
+        "compiled", "core", "data", "figures", "fitting", "identification", "models", "optim",
+        "parallel", "testing",
+    )
+}  # fmt: skip
+"""The layers of the core, which know neither vehicles nor rivals nor stored runs."""
 CONCRETE = {"MIHO", "RandomSearch"}
 
 
@@ -163,6 +173,11 @@ def test_layers_hold(path: Path) -> None:
                 assert not CONCRETE & set(names), f"{module_name} imports a concrete optimizer"
         else:
             assert top in others, f"{module_name} imports {module}"
+
+
+def test_the_core_is_below_vehicle_bench_and_workbench() -> None:
+    for layer in CORE:
+        assert LAYERS[layer][0] <= CORE | {"miho.methods"}, layer
 
 
 def test_only_experiments_know_hydra() -> None:

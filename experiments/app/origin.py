@@ -96,6 +96,6 @@ def driving_code(methods: Iterable[Optimizer]) -> str:
 DRIVING_SOURCES = Sources(
     {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
     | {"experiments": Path(__file__).parents[1]},
-    excluded=("experiments.app", "miho.analysis", "miho.study"),
+    excluded=("experiments.app", "miho.analysis", "miho.figures", "miho.study"),
     cache=CACHE,
 )

@@ -12,12 +12,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-COLORS = (
-    "#0173b2", "#de8f05", "#029e73", "#d55e00", "#cc78bc",
-    "#ca9161", "#fbafe4", "#949494", "#ece133", "#56b4e9",
-)  # fmt: skip
-"""Seaborn's palette "colorblind"."""
-BLUE, ORANGE, GREEN, RED = COLORS[:4]
+from miho.figures.style import BLUE, COLORS, GREEN, ORANGE, RED
+
 _PINK, _TAN, _SKY = COLORS[4], COLORS[5], COLORS[9]
 _BLACK, _GREY, _MUTED, _PURPLE = "#222222", "#6e6e6e", "#8a8a8a", "#6a3d9a"
 _BROWN = "#6b3e12"

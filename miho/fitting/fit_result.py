@@ -386,7 +386,7 @@ class Fit(Remade):
 
         With several inputs the figure shows measured over predicted values.
         """
-        from miho.analysis.figures.report import Column, curve_band, fit_figure
+        from miho.figures.report import Column, curve_band, fit_figure
 
         dataset, inputs = self.problem.dataset, self.problem.model.inputs
         parts = rows_of_parts(self.problem.model, self.problem.inputs)

@@ -10,9 +10,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from miho.analysis.figures.house import png
-from miho.analysis.figures.report import Column, fit_figure, profile_figure, residual_figure
 from miho.analysis.pages.run import Section, page
 from miho.analysis.text import ends, scaled, to_error
+from miho.figures.report import Column, fit_figure, profile_figure, residual_figure
 
 x = np.linspace(-1, 1, 60)
 alpha = Column("alpha", "rad", x)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from miho.analysis.figures.report import waterfall_figure
+from miho.figures.report import waterfall_figure
 
 
 def legend_of(

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 import seaborn as sns
 
-from miho.analysis.styles import COLORS, MAIN, STYLES, styles_of, with_emphasis
+from miho.analysis.styles import MAIN, STYLES, styles_of, with_emphasis
+from miho.figures.style import COLORS
 
 ROOT = Path(__file__).parents[2]
 

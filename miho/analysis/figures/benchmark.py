@@ -7,8 +7,8 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from miho.analysis.figures.house import WIDTH, house_style
 from miho.analysis.tidy import require_columns
+from miho.figures.style import WIDTH, house_style
 
 BLUE, ORANGE, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
 BLACK = "#222222"

@@ -9,8 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from miho.analysis.figures.house import WIDTH, house_style
-from miho.analysis.styles import BLUE, RED
+from miho.figures.style import BLUE, RED, WIDTH, house_style
 
 BINS = 40
 GREY, PALE = "#6e6e6e", "#cfcfcf"

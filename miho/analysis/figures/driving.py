@@ -14,7 +14,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from miho.analysis.compare.bootstrap import mean_error
-from miho.analysis.figures.house import WIDTH, caption, house_style
+from miho.analysis.figures.house import caption
+from miho.figures.style import WIDTH, house_style
 
 BLUE, _, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
 AMBER = "#f0b756"

@@ -13,8 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from miho.analysis.figures.house import WIDTH, caption, house_style
+from miho.analysis.figures.house import caption
 from miho.analysis.figures.paper import Points
+from miho.figures.style import WIDTH, house_style
 
 Array = NDArray[np.float64]
 

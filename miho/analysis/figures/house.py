@@ -1,16 +1,13 @@
-"""Common parts of all figures: style, sizes, captions, files, and labels at the ends of curves."""
+"""Common parts of figures of results: sizes, captions, files, and labels at the ends of curves."""
 
 from __future__ import annotations
 
 import io
 import textwrap
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -20,9 +17,9 @@ from scipy.optimize import isotonic_regression
 from miho.analysis.curves import Array
 from miho.analysis.styles import MethodStyle
 from miho.analysis.timing import Clock
+from miho.figures.style import WIDTH, house_style
 from miho.study import write_bytes
 
-WIDTH = 180 / 25.4
 NARROW = 140 / 25.4
 """Width [inches] of a figure that is readable on a phone."""
 CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
@@ -32,36 +29,6 @@ AXIS_LABELS = {
     "cpu_seconds": "CPU seconds",
     "evaluations": "evaluations of the full loss",
 }
-
-
-def house_style() -> AbstractContextManager[None]:
-    """Matplotlib settings of all figures: dark grey ticks, a light grid below, 8 to 9 pt text.
-
-    Ticks read the settings when they are first drawn, so draw within the context as well.
-    """
-    ink = dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), "#262626")
-    ink |= dict.fromkeys(("xtick.color", "ytick.color"), "#262626")
-    style: Any = ink | {
-        "axes.axisbelow": True,
-        "axes.grid": True,
-        "grid.color": "#e4e4e4",
-        "grid.linewidth": 0.6,
-        "axes.linewidth": 0.8,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "font.size": 9,
-        "axes.titlesize": 9,
-        "axes.labelsize": 9,
-        "xtick.labelsize": 8,
-        "ytick.labelsize": 8,
-        "legend.fontsize": 8,
-        "legend.frameon": False,
-        "lines.solid_capstyle": "round",
-        "patch.edgecolor": "white",
-        "patch.force_edgecolor": True,
-        "pdf.fonttype": 42,
-    }
-    return mpl.rc_context(style)
 
 
 def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:

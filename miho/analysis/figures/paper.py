@@ -19,11 +19,9 @@ from miho.analysis.curves import Array, Axis, log_grid, on_grid, summary
 from miho.analysis.figures.house import (
     AXIS_LABELS,
     NARROW,
-    WIDTH,
     EndLabel,
     caption,
     draw_end_labels,
-    house_style,
     time_label,
 )
 from miho.analysis.styles import MethodStyle, distinct, styles_of
@@ -31,6 +29,7 @@ from miho.analysis.text import number
 from miho.analysis.tidy import one_problem, shown_unit
 from miho.analysis.timing import clock_of
 from miho.analysis.variants import named_apart
+from miho.figures.style import WIDTH, house_style
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 TIRE_NAMES = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}

@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from miho.analysis.curves import log_grid
-from miho.analysis.figures.house import WIDTH, caption, house_style
+from miho.analysis.figures.house import caption
 from miho.analysis.figures.paper import plain_log_ticks, plot_error_over
 from miho.analysis.styles import styles_of
+from miho.figures.style import WIDTH, house_style
 
 COLUMNS = 3
 TITLE_WIDTH = 34

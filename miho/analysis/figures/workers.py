@@ -10,8 +10,8 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from miho.analysis.figures.house import WIDTH, house_style
 from miho.analysis.tidy import require_columns
+from miho.figures.style import WIDTH, house_style
 
 COLOURS = sns.color_palette("colorblind").as_hex()
 DASHES = ("solid", (0, (4, 1.5)), (0, (1, 1.2)), "dashdot")

@@ -13,14 +13,6 @@ import pandas as pd
 from markupsafe import Markup
 
 from miho.analysis.figures.house import png
-from miho.analysis.figures.report import (
-    Column,
-    curve_band,
-    fit_figure,
-    profile_figure,
-    residual_figure,
-    waterfall_figure,
-)
 from miho.analysis.pages.html import PAGE, asset, render
 from miho.analysis.pages.run_tables import (
     correlation_table,
@@ -29,6 +21,14 @@ from miho.analysis.pages.run_tables import (
     parameter_table,
 )
 from miho.analysis.text import csv_text, ends, significant
+from miho.figures.report import (
+    Column,
+    curve_band,
+    fit_figure,
+    profile_figure,
+    residual_figure,
+    waterfall_figure,
+)
 from miho.identification import Report, identified
 from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text

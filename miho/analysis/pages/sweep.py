@@ -12,7 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from miho.analysis.figures.house import house_style, png
+from miho.analysis.figures.house import png
 from miho.analysis.figures.paper import plot_error_over
 from miho.analysis.pages.html import PAGE, asset, render
 from miho.analysis.pages.run_tables import values_table
@@ -36,6 +36,7 @@ from miho.analysis.pages.vega import PACKAGE, vega
 from miho.analysis.styles import MethodStyle, styles_of
 from miho.analysis.text import rounded
 from miho.analysis.timing import clock_of
+from miho.figures.style import house_style
 from miho.study import StoredRun, load_runs, read_run, write_text
 
 MANY_METHODS = 12

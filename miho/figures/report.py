@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from miho.analysis.figures.house import WIDTH, house_style
-from miho.analysis.styles import BLUE, COLORS, GREEN, ORANGE, RED
+from miho.figures.style import BLUE, COLORS, GREEN, ORANGE, RED, WIDTH, house_style
 
 Array = NDArray[np.float64]
 

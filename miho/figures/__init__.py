@@ -1,0 +1,1 @@
+"""Figures of a fit and the style that all figures share."""
