@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 KINDS = ("profile", "bootstrap", "linearised")
 """Kinds of intervals, the best first."""
-MEAN_SPEED = "mean vx"
-"""A derived quantity of an axle: the mean speed [m/s] of its data, which determines its loads."""
 
 
 def interval_kind(table: pd.DataFrame) -> str:
@@ -97,11 +95,8 @@ def identified_at(problem: CurveFit, theta: Array) -> Identified:
     if at is not None:
         model, parameters, correlation = _whole(problem, at, parameters)
     loss = float(problem.loss(theta[None])[0])
-    derived = {}
-    if "vx" in problem.dataset.columns and "vx" not in problem.model.inputs:
-        derived[MEAN_SPEED] = Value(float(problem.dataset["vx"].mean()), "m/s")
     about = {"problem": problem.name, "data": problem.dataset.digest, "error": math.sqrt(loss)}
-    return Identified(model, parameters, correlation, _ranges(problem), derived, about)
+    return Identified(model, parameters, correlation, _ranges(problem), {}, about)
 
 
 def _whole(

@@ -14,7 +14,7 @@ from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.identification.parameters_file import identified_at
 from miho.models import Model
-from miho.models.identified import parameters_text
+from miho.models.identified import Value, parameters_text
 from miho.optim import Budget, Optimizer, Space, minimize
 from miho.study import write_text
 from miho.vehicle.data.axle_samples import axle_samples
@@ -36,6 +36,8 @@ LOW_OPENINGS = (0.05, 0.15, 0.2)
 """Openings that the paper learns from driving, because the dyno is unreliable there."""
 HIGH_OPENINGS = (0.3, 0.4, 0.5, 0.65, 0.8, 0.9, 1.0)
 """Additional openings of an extended learned region, which are all rows of the dyno."""
+MEAN_SPEED = "mean vx"
+"""A derived quantity of an axle: the mean speed [m/s] of its data, which determines its loads."""
 SMOOTH = 3700 * RPM
 """Engine speed above the spool of the turbo [rad/s], from which a cubic fits high openings."""
 SETTLE = 1.0
@@ -126,5 +128,8 @@ def identify_parts(
             "optimizer": repr(optimizer), "seed": seed, "evaluations": record.evaluations,
             "packages": {name: version(name) for name in ("numpy", "scipy")},
         }  # fmt: skip
-        whole = replace(result, provenance={**result.provenance, **about})
+        derived = {}
+        if "vx" in problem.dataset.columns and "vx" not in problem.model.inputs:
+            derived[MEAN_SPEED] = Value(float(problem.dataset["vx"].mean()), "m/s")
+        whole = replace(result, derived=derived, provenance={**result.provenance, **about})
         write_text(folder / f"{part}.json", parameters_text(whole, {}))

@@ -7,13 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from miho.identification.parameters_file import MEAN_SPEED
 from miho.models import read_parameters
 from miho.models.identified import Identified
 from miho.vehicle.data import dyno_test
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.data.synthetic_engine import DYNO_TRUSTED
-from miho.vehicle.driving.assembly.from_drives import HIGH_OPENINGS, LOW_OPENINGS, part_of
+from miho.vehicle.driving.assembly.from_drives import (
+    HIGH_OPENINGS,
+    LOW_OPENINGS,
+    MEAN_SPEED,
+    part_of,
+)
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.load_transfer import LoadTransfer
