@@ -2,8 +2,8 @@
 
 python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 
-`miho.fit` searches a wide box without a start; `miho.fit, start` and the others descend from a
-point 20 % from the optimum. They alternate. First fits run in a separate process; their seconds are
+`miho.fit` searches a wide box without a start, also with a Huber loss and with a prior;
+`miho.fit, start` and the others descend from a point 20 % from the optimum. They alternate. First fits run in a separate process; their seconds are
 CPU time after `import miho`.
 """
 
@@ -24,9 +24,10 @@ from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, turns
 from miho.analysis.figures.benchmark import run_figure
 from miho.quantities import Array
 
-ROWS = 300
+ROWS, NOISE = 300, 0.05
 TRUTH = {"a": 3.0, "b": 0.7, "c": 6.0, "d": 1.2, "e": 2.0}
 BOX = {"a": (-20, 20), "b": (0.01, 20), "c": (0, 10), "d": (0.05, 10), "e": (-20, 20)}
+PRIOR = {**BOX, "c": {"low": 0, "high": 10, "prior": (6.0, 0.1)}}
 NEAR = {name: 1.2 * value for name, value in TRUTH.items()}
 
 FIRST_FITS = """
@@ -66,7 +67,7 @@ def measure(quick: bool) -> Measured:
     """Milliseconds of one fit."""
     rng = np.random.default_rng(0)
     x = np.linspace(0, 10, ROWS)
-    y = bump(x, **TRUTH) + 0.05 * rng.standard_normal(ROWS)
+    y = bump(x, **TRUTH) + NOISE * rng.standard_normal(ROWS)
     seconds = turns(_jobs(x, y), 5 if quick else 30)
     rows = [{"form": name, "seconds": float(np.median(s))} for name, s in seconds.items()]
     frame = pd.DataFrame(rows)
@@ -99,6 +100,8 @@ def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
         "curve_fit": partial(optimize.curve_fit, bump, x, y, list(NEAR.values())),
         "miho.fit": partial(miho.fit, bump, x, y, BOX),
         "miho.fit, start": partial(miho.fit, bump, x, y, start=NEAR),
+        "miho.fit, Huber": partial(miho.fit, bump, x, y, BOX, sigma=NOISE, loss="huber"),
+        "miho.fit, a prior": partial(miho.fit, bump, x, y, PRIOR, sigma=NOISE),
         "miho.fit, by NumPy": partial(miho.fit, bump, x, y, BOX, compiled=False),
     }
     try:

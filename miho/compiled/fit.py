@@ -45,7 +45,7 @@ class FitKernel:
     thetas: Array
     name: str
 
-    def losses(self, thetas: Array, rows: int) -> Array | None:
+    def losses(self, thetas: Array, rows: int | None) -> Array | None:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order."""
         return self.taped.losses(thetas, rows) if self._agrees else None
 

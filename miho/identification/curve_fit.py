@@ -25,6 +25,7 @@ from miho.identification.curve_fit_checks import (
 from miho.identification.irreducible import irreducible_square
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.prior import PriorResiduals
+from miho.identification.residual_formula import ResidualFormula, residual_formula
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
@@ -57,7 +58,9 @@ is 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 REMEMBERED = 1 << 20
 """Errors to remember, as numbers, for the derivatives of a robust loss at the same
 configurations."""
-OF_THE_MODEL = ("noise", "_fitted", "_taped", "_of_thread")
+OF_THE_MODEL = (
+    "noise", "_fitted", "_taped", "_residual_formula", "_taped_residuals", "_of_thread",
+)  # fmt: skip
 """Cached attributes that depend on the form of the model."""
 BLOCK = 50_000
 """Model values per block; the temporaries of one block stay in the cache of one core."""
@@ -253,14 +256,36 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
-        """Fast forms of the square loss, None if the machine cannot run the model."""
-        model = self._fitted
-        plain = self._square and self.prior is None
-        if not (self.compiled and plain and isinstance(model, Expression)) or self._taped is None:
+        """Fast forms of the loss, None if the machine cannot run it."""
+        formula, taped = self._residual_formula, self._taped_residuals
+        if not self.compiled or formula is None or taped is None:
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
-        return kernel_for(self._taped, model, thetas, name=name)
+        return kernel_for(taped, formula.model, thetas, name=name)
+
+    @property
+    def _plain(self) -> bool:
+        """Whether the residuals are the errors."""
+        return self._square and self.prior is None
+
+    @cached_property
+    def _residual_formula(self) -> ResidualFormula | None:
+        """All residuals as a formula, None if there is none."""
+        return residual_formula(self._fitted, self._columns, self._target, self.rho, self.prior)
+
+    @cached_property
+    def _taped_residuals(self) -> TapedLoss | None:
+        """All residuals on the machine, None if it cannot run them."""
+        formula = self._residual_formula
+        if self._plain or formula is None:
+            return self._taped
+        model, columns, target = formula
+
+        def order() -> NDArray[np.intp]:
+            return np.arange(target.size) if self._all_rows else self._order
+
+        return taped_loss(model, np.array(columns), target, order, threads=self.threads)
 
     @cached_property
     def _taped(self) -> TapedLoss | None:
@@ -277,9 +302,8 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def machine_rows(self) -> Rows | None:
-        """Residuals of the square loss and their derivatives by the machine, None without it."""
-        plain = self.compiled and self._square and self.prior is None
-        taped = self._taped if plain else None
+        """Residuals and their derivatives by the machine, None without it."""
+        taped = self._taped_residuals if self.compiled else None
         return None if taped is None else taped.rows_of(taped.X, taped.y)
 
     @cached_property
@@ -381,10 +405,10 @@ class CurveFit(Remade, LeastSquaresProblem):
             Losses, in the output's unit squared.
         """
         columns, output, rows = self._columns, self._target, self._rows(fidelity)
-        if self._of_graph is not None and self._square and self.prior is None:
+        if self._of_graph is not None and self._plain:
             return self._of_graph.losses(thetas, rows)
         if self.kernel is not None:
-            losses = self.kernel.losses(thetas, rows)
+            losses = self.kernel.losses(thetas, None if self._all_rows else rows)
             if losses is not None:
                 return losses
         if rows < output.size:
@@ -440,7 +464,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         part = self._part(fidelity)
         if self._of_graph is not None:
             return self._of_graph.residuals(thetas, None if part is None else part.size)
-        if part is None and self.kernel is not None:
+        if part is None and self._plain and self.kernel is not None:
             residuals = self.kernel.residuals(thetas)
             if residuals is not None:
                 return residuals
@@ -461,7 +485,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d), at one configuration (d,)."""
         part = self._part(fidelity)
-        if self._of_graph is None and part is None and self.kernel is not None:
+        if self._of_graph is None and part is None and self._plain and self.kernel is not None:
             derivatives = self.kernel.jacobian(theta)
             if derivatives is not None:
                 return derivatives

@@ -109,7 +109,9 @@ class Cauchy(Loss):
     def transform(self, residuals: Array) -> Array:
         """sign(r) sqrt(rho)."""
         z = residuals / self.scale
-        return np.asarray(np.sign(z) * self.scale * np.sqrt(np.log1p(z * z)))
+        square = z * z
+        outer = np.sign(z) * self.scale * np.sqrt(np.log1p(square))
+        return np.where(square > 0, outer, residuals)  # a residual of 0 has the derivative 1
 
     def influence(self, residuals: Array) -> tuple[Array, Array]:
         """The influence psi = r / (1 + (r / scale)^2) and its derivative."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,17 @@ class PriorResiduals:
     def residuals(self, thetas: Array) -> Array:
         """Residuals (n, P) at configurations (n, d)."""
         return self.scale * self.deviations(thetas)
+
+    def formulas(self, arguments: Sequence[Symbol]) -> list[Symbol]:
+        """Formulas of the residuals of one configuration, in the symbols of its d parameters."""
+        formulas: list[Any] = []
+        for parameter, u in zip(
+            self.parameters, [*(arguments[k] for k in self._free), *self.tied_graphs], strict=True
+        ):
+            mean, std = parameter.prior or (0.0, 1.0)
+            deviation = np.log(u / mean) if parameter.scale == "log" else u - mean
+            formulas.append(self.scale * (deviation / std))
+        return formulas
 
     def slopes(self, theta: Array) -> Array:
         """Derivatives (P, d) of `residuals` at one configuration (d,)."""

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,34 +30,40 @@ def weighted(model: Model) -> Model:
     return WeightedModel(model)
 
 
-class _Weighted(Model):
-    """Properties that both kinds of weighted models take from the model."""
+class WithInput(Model):
+    """Properties that a model of one more input, `added`, takes from its `model`."""
 
     model: Model
+    added: ClassVar[str] = WEIGHT
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
-        return {**self.model.inputs, WEIGHT: "-"}
+        """The model's inputs and the added one, which has no unit."""
+        return {**self.model.inputs, self.added: "-"}
 
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Units by name."""
         return self.model.parameters
 
     @property
     def output(self) -> str:  # type: ignore[override]
+        """Unit of the result."""
         return self.model.output
 
     @property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Parameters in which the output is jointly linear."""
         return self.model.linear
 
     @property
     def name(self) -> str:  # type: ignore[override]
+        """The model's name."""
         return self.model.name
 
 
 @dataclass(frozen=True)
-class WeightedModel(_Weighted):
+class WeightedModel(WithInput):
     """Any model with weighted outputs."""
 
     model: Model
@@ -75,7 +82,7 @@ class WeightedModel(_Weighted):
 
 
 @dataclass(frozen=True)
-class WeightedExpression(_Weighted, TracedExpression):
+class WeightedExpression(WithInput, TracedExpression):
     """An expression with weighted outputs."""
 
     model: Expression
