@@ -3,8 +3,8 @@
 python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 
 `miho.fit` searches a wide box without a start, also with a Huber loss and with a prior;
-`miho.fit, start` and the others descend from a point 20 % from the optimum. They alternate. First fits run in a separate process; their seconds are
-CPU time after `import miho`.
+`miho.fit, start` and the others descend from a point 20 % from the optimum. They alternate. First
+fits run in a separate process; their seconds are CPU time after `import miho`.
 """
 
 from __future__ import annotations
