@@ -105,6 +105,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"baselines.problems", "miho.compiled", "miho.models", "miho.data"},
         {"numpy"},
     ),
+    "baselines.arena": ({"baselines.arena", "miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "baselines": (
         {"baselines", "miho.compiled", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},

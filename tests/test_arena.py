@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
+from baselines.arena.results import FACTOR, PLAIN, pages, separation
 from experiments import compare as comparing
 from experiments.app.build import ConfigError, build, recorded_optimum
 from experiments.app.comparing import plan_arena
@@ -23,7 +24,6 @@ from experiments.app.runs import PlanOutcome
 from experiments.app.schema import register
 from experiments.app.working import State
 from miho import load_runs
-from miho.analysis.arena_results import FACTOR, PLAIN, pages, separation
 from miho.analysis.compare.comparison import COMPARISON
 from miho.analysis.compare.leaderboard import family_scores, problem_scores
 from miho.analysis.compare.significance import pairwise

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from baselines.arena.results import ArenaResults, TooFewError, write_arena
 from experiments.app.build import ConfigError, build_dataset, rebuild
 from experiments.app.configured import as_configured
 from experiments.app.front_axle import FrontAxle, facts, verdict
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
-from miho.analysis.arena_results import ArenaResults, TooFewError, write_arena
 from miho.analysis.compare.claims import is_on_a_tire
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
 from miho.analysis.compare.size import Methods, chosen

@@ -18,7 +18,7 @@ from experiments.app.build import build_optimizer, build_problem
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from miho.analysis.figures.benchmark import arrival_figure
+from experiments.benchmarks.figures import arrival_figure
 from miho.optim import MIHOGN, Budget, minimize
 
 ROWS = (3000, 30_000, 300_000, 3_000_000)

@@ -21,7 +21,7 @@ import pandas as pd
 
 import miho
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, turns
-from miho.analysis.figures.benchmark import run_figure
+from experiments.benchmarks.figures import run_figure
 from miho.quantities import Array
 
 ROWS, NOISE = 300, 0.05

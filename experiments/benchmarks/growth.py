@@ -21,7 +21,7 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from miho.analysis.figures.benchmark import growth_figure
+from experiments.benchmarks.figures import growth_figure
 from miho.compiled import Steps
 from miho.identification import CurveFit
 from miho.optim import MIHO, minimize

@@ -21,7 +21,7 @@ from experiments.benchmarks.bars import (
     benchmark,
     turns,
 )
-from miho.analysis.figures.benchmark import loss_figure
+from experiments.benchmarks.figures import loss_figure
 from miho.compiled import taped_loss
 from miho.vehicle.models import Pacejka
 

@@ -22,7 +22,7 @@ from scipy.optimize import curve_fit
 
 import miho
 from experiments.benchmarks.bars import AT_LEAST, Bar, Measured, benchmark, turns
-from miho.analysis.figures.benchmark import run_figure
+from experiments.benchmarks.figures import run_figure
 from miho.quantities import Array
 
 DATASETS, ROWS, LOOPED = 10_000, 50, 300

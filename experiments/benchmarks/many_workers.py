@@ -26,7 +26,7 @@ from experiments.benchmarks.engines import PROCESSES, started
 from experiments.benchmarks.simulation_times import simulation_times
 from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
 from experiments.benchmarks.virtual_workers import virtual_search
-from miho.analysis.figures.workers import many_workers_figure
+from experiments.benchmarks.workers_figures import many_workers_figure
 from miho.optim import MIHO, MIHOGN, AsynchronousMIHOGN, Budget, Optimizer, RandomSearch, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array

@@ -24,7 +24,7 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
-from miho.analysis.figures.benchmark import run_figure
+from experiments.benchmarks.figures import run_figure
 from miho.identification import CurveFit
 from miho.models import Model
 from miho.optim import MIHO, Problem, RunRecord, Space, hyperband_table, minimize

@@ -27,7 +27,7 @@ from experiments.app.build import build
 from experiments.app.compose import CONF, composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from miho.analysis.figures.benchmark import overhead_figure
+from experiments.benchmarks.figures import overhead_figure
 from miho.compiled import Block, Climb, Kernel, Rows, Steps
 from miho.optim import Budget, LeastSquaresProblem, Optimizer, Oracle, Problem, Space, minimize
 

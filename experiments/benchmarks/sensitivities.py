@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from miho.analysis.figures.benchmark import sensitivity_figure
+from experiments.benchmarks.figures import sensitivity_figure
 from miho.models import Model
 from miho.models.model import central_differences
 from miho.quantities import Array

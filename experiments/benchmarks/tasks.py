@@ -26,7 +26,7 @@ import pandas as pd
 
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark
 from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
-from miho.analysis.figures.benchmark import run_figure
+from experiments.benchmarks.figures import run_figure
 from miho.parallel.process_executor import ProcessExecutor
 
 TASKS, WORKERS, TURNS = 1000, 2, 5

@@ -26,7 +26,7 @@ from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
 from experiments.benchmarks.sleeping import Lengths, Sleeping, search
-from miho.analysis.figures.workers import efficiency_figure
+from experiments.benchmarks.workers_figures import efficiency_figure
 from miho.optim import MIHO, Budget, Optimizer, Problem, RandomSearch, Space, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array

@@ -21,6 +21,14 @@ from pathlib import Path
 
 import pandas as pd
 
+from baselines.arena.readings import (
+    Reading,
+    frames_of,
+    long_table,
+    reading_claims,
+    short_table,
+)
+from baselines.arena.readings_figure import readings_figure
 from experiments.app.build import ConfigError
 from experiments.app.compose import CONF, composed
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
@@ -29,14 +37,6 @@ from experiments.app.runs import run
 from experiments.app.schema import register
 from miho.analysis import save
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
-from miho.analysis.compare.readings import (
-    Reading,
-    frames_of,
-    long_table,
-    reading_claims,
-    short_table,
-)
-from miho.analysis.figures.readings import readings_figure
 from miho.study import load_runs
 
 EXPERIMENT = "experiment=paper_readings"

@@ -10,6 +10,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from baselines.arena.figures import ecdf_figure, error_curves, ert_table, profiles_figure
+from baselines.arena.ranking import (
+    area_figure,
+    critical_difference_diagram,
+    speed_up_figure,
+)
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
 from miho.analysis.compare.leaderboard import (
     best_rivals,
@@ -30,13 +36,7 @@ from miho.analysis.compare.significance import (
     ranks,
 )
 from miho.analysis.curves import Axis
-from miho.analysis.figures.arena import ecdf_figure, error_curves, ert_table, profiles_figure
 from miho.analysis.figures.house import save
-from miho.analysis.figures.ranking import (
-    area_figure,
-    critical_difference_diagram,
-    speed_up_figure,
-)
 from miho.analysis.text import csv_text
 from miho.analysis.timing import Clock, clock_of, undisturbed
 from miho.study import write_text

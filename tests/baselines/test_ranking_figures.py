@@ -8,15 +8,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.compare.profiles import area_over_curve
-from miho.analysis.compare.running_time import hits
-from miho.analysis.compare.significance import (
-    cliques,
-    critical_difference,
-    pairwise_speed_up,
-    ranks,
-)
-from miho.analysis.figures.ranking import (
+from baselines.arena.ranking import (
     LIGHT,
     area_figure,
     critical_difference_diagram,
@@ -26,6 +18,14 @@ from miho.analysis.figures.ranking import (
     plot_speed_up,
     speed_up_figure,
 )  # fmt: skip
+from miho.analysis.compare.profiles import area_over_curve
+from miho.analysis.compare.running_time import hits
+from miho.analysis.compare.significance import (
+    cliques,
+    critical_difference,
+    pairwise_speed_up,
+    ranks,
+)
 from miho.analysis.styles import STYLES
 from tests.analysis.arena_synthetic import areas, arena, methods, speed_ups
 

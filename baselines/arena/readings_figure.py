@@ -26,7 +26,7 @@ def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> 
     ----------
     readings : mapping of str to DataFrame
         For the words of each reading its curves, as from
-        `miho.analysis.compare.readings.frames_of`. Errors are in N and drawn in kN.
+        `baselines.arena.readings.frames_of`. Errors are in N and drawn in kN.
     note : str
         Small text below the panels.
 

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.figures.arena import ert_table, plot_ert, short
+from baselines.arena.figures import ert_table, plot_ert, short
 from tests.analysis.arena_synthetic import methods, running_times
 
 COLUMNS = ["problem", "optimizer", "factor", "success", "ert"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from miho.analysis.figures.benchmark import (
+from experiments.benchmarks.figures import (
     arrival_figure,
     growth_figure,
     loss_figure,
     overhead_figure,
     run_figure,
 )
-from miho.analysis.figures.workers import PANELS, efficiency_figure, many_workers_figure
+from experiments.benchmarks.workers_figures import PANELS, efficiency_figure, many_workers_figure
 
 LOSS = pd.DataFrame(
     [(n, batch, method, ns * (1 + 100 / n))

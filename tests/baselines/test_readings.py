@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from miho.analysis.compare.readings import (
+from baselines.arena.readings import (
     Reading,
     frames_of,
     in_seconds,
@@ -12,7 +12,7 @@ from miho.analysis.compare.readings import (
     short_table,
     without_slow_descents,
 )
-from miho.analysis.figures.readings import readings_figure
+from baselines.arena.readings_figure import readings_figure
 from tests.analysis.synthetic import Steps, frames
 
 STORED: dict[str, list[Steps]] = {

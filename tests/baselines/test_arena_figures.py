@@ -9,15 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.compare.profiles import data_profile, ecdf, performance_profile
-from miho.analysis.compare.running_time import hits, running_times
-from miho.analysis.figures.arena import (
+from baselines.arena.figures import (
     ecdf_figure,
     error_curves,
     plot_gap,
     plot_shares,
     profiles_figure,
 )  # fmt: skip
+from miho.analysis.compare.profiles import data_profile, ecdf, performance_profile
+from miho.analysis.compare.running_time import hits, running_times
 from miho.analysis.styles import STYLES, with_emphasis
 from miho.analysis.timing import Clock, clock_of
 from tests.analysis.arena_synthetic import arena, methods
