@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.cma_es import CMAES
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber
-from miho.methods import PSO, LeastSquares
+from miho.methods import PSO, DifferentialEvolution, LeastSquares
 from miho.models import FunctionModel
 from miho.models.joint import JointModel, JointPart
 from miho.models.model import ExternalModel, Model
@@ -57,6 +58,8 @@ BUDGET = Budget(evaluations=60)
 RUNS: list[tuple[Optimizer, Problem]] = [
     (RandomSearch(batch=10), Bowl()),
     (PSO(particles=10), Bowl()),
+    (DifferentialEvolution(popsize=5), Bowl()),
+    (CMAES(), Bowl()),
     (MIHO(), decay_fit()),
     (MIHOGN(), Residuals()),
     (MIHOGN(), decay_fit()),
