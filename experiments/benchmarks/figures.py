@@ -12,8 +12,6 @@ from miho.figures.style import WIDTH, house_style
 
 BLUE, ORANGE, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
 BLACK = "#222222"
-LOSS_COLOURS = {"NumPy": ORANGE, "one thread": BLUE, "two threads": GREEN}
-GROWTH_COLOURS = {"whole": BLUE, "stopped": GREEN}
 ARRIVAL_COLOURS = {
     "miho_gn": RED, "miho_qn": ORANGE, "least_squares": BLUE, "one look": BLACK,
 }  # fmt: skip
@@ -23,35 +21,6 @@ SENSITIVITY_COLOURS = {
 BAR_HEIGHT = 0.22  # inches
 LABEL_ROOM = 2.2
 """Factor by which a logarithmic axis extends beyond its longest bar, so that its label fits."""
-
-
-def loss_figure(frame: pd.DataFrame) -> Figure:
-    """Nanoseconds per point over the rows, for batches of one and for the largest batches.
-
-    The frame has the columns rows, batch, method, ns.
-    """
-    require_columns(frame, {"rows", "batch", "method", "ns"}, "frame")
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
-        largest = frame.groupby("rows")["batch"].transform("max")
-        panels = (
-            (left, frame[frame["batch"] == 1], "one configuration at a time"),
-            (right, frame[frame["batch"] == largest], "the largest batch"),
-        )
-        for ax, part, title in panels:
-            _lines(part, ax, "method", "ns", LOSS_COLOURS)
-            ax.set_title(title, loc="left")
-        left.set_ylabel("time per point [ns]")
-        right.legend()
-        figure.draw_without_rendering()
-    return figure
-
-
-def growth_figure(frame: pd.DataFrame) -> Figure:
-    """Microseconds per evaluation over the rows. Frame: rows, method, us."""
-    require_columns(frame, {"rows", "method", "us"}, "frame")
-    return _over_rows(frame, "us", GROWTH_COLOURS, "time per evaluation [µs]")
 
 
 def arrival_figure(frame: pd.DataFrame) -> Figure:

@@ -5,35 +5,14 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from experiments.benchmarks.figures import (
-    arrival_figure,
-    growth_figure,
-    loss_figure,
-    overhead_figure,
-    run_figure,
-)
+from experiments.benchmarks.figures import arrival_figure, overhead_figure, run_figure
 from experiments.benchmarks.workers_figures import PANELS, efficiency_figure, many_workers_figure
 
-LOSS = pd.DataFrame(
-    [(n, batch, method, ns * (1 + 100 / n))
-     for n in (100, 3000) for batch in (1, 10)
-     for method, ns in (("NumPy", 15.0), ("one thread", 2.0), ("two threads", 1.1))],
-    columns=["rows", "batch", "method", "ns"],
-)  # fmt: skip
 RUNS = pd.DataFrame({"form": ["plain loop", "steps"], "seconds": [30.0, 0.5], "speedup": [1, 60]})
 METHODS = pd.DataFrame(
     {"kind": ["method", "method", "recorder", "method"], "name": ["a", "b", "c", "broken"],
      "us": [3.0, 0.5, 1.0, float("nan")]}
 )  # fmt: skip
-GROWTH = pd.DataFrame({"rows": [3000, 30_000], "method": "stopped", "us": [0.6, 0.7]})
-
-
-def test_loss_figure_has_a_line_per_method() -> None:
-    for ax, batch in zip(loss_figure(LOSS).axes, (1, 10), strict=True):
-        lines = {str(line.get_label()): line for line in ax.get_lines()}
-        assert set(lines) == {"NumPy", "one thread", "two threads"}
-        rows = LOSS[(LOSS["batch"] == batch) & (LOSS["method"] == "one thread")]
-        assert list(lines["one thread"].get_ydata()) == rows["ns"].tolist()
 
 
 def test_run_figure_has_a_bar_per_form_with_its_speedup() -> None:
@@ -47,12 +26,6 @@ def test_overhead_figure_sorts_methods_and_leaves_out_what_was_not_measured() ->
     assert [tick.get_text() for tick in ax.get_yticklabels()] == ["b", "a"]
 
 
-def test_growth_figure_is_logarithmic_in_both() -> None:
-    (ax,) = growth_figure(GROWTH).axes
-    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
-    assert list(ax.get_lines()[1].get_ydata()) == [0.6, 0.7]
-
-
 def test_arrival_figure_shows_medians_over_runs() -> None:
     runs = pd.DataFrame({"rows": 3000, "method": "miho_gn", "ms": [1.0, 2.0, 6.0]})
     (ax,) = arrival_figure(runs).axes
@@ -61,7 +34,7 @@ def test_arrival_figure_shows_medians_over_runs() -> None:
 
 def test_a_frame_of_another_benchmark_is_refused() -> None:
     with pytest.raises(ValueError, match="lacks the columns"):
-        loss_figure(GROWTH)
+        overhead_figure(RUNS)
 
 
 def test_efficiency_figure_has_a_line_per_engine_over_workers() -> None:
