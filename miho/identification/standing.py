@@ -125,7 +125,7 @@ def standing(
     if agreed.optima > 1:
         errors = agreed.optima - dropped
         doubt += f"; they ended at {errors} different errors" * (errors > 1)
-        doubt += f"; estimated {chance}" * agreed.returned
+        doubt += f"; estimated {chance}" * (agreed.returned and not agreed.enough)
     if not all_settled:
         doubt += "; the search ended before the evidence was sufficient"
     elif agreeing == finished:
