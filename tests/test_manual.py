@@ -107,6 +107,8 @@ def test_the_manual_lists_every_page() -> None:
     pages = re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
     found = [*DOCS.glob("*.md"), *API, *DOCS.glob("gallery/*.md")]
     assert sorted(pages) == sorted(path.relative_to(DOCS).as_posix() for path in found)
+    listed = re.findall(r"\]\(([\w/-]+\.md)\)", (DOCS / "llms.txt").read_text(encoding="utf-8"))
+    assert sorted(listed) == sorted(pages)
     notebooks = re.findall(r": notebooks/(\w+\.ipynb)$", (ROOT / "mkdocs.yml").read_text(), re.M)
     assert sorted(notebooks) == sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
 
