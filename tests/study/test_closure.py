@@ -57,7 +57,12 @@ def test_code_that_a_run_does_not_use_may_change(
     roots: dict[str, Path], cache: Path, before: str
 ) -> None:
     with ExitStack() as changes:
-        for place in ("data/mat.py", "methods/tiktak.py", "models/engine.py", "study/store.py"):
+        for place in (
+            "data/mat.py",
+            "methods/tiktak.py",
+            "vehicle/models/engine.py",
+            "study/store.py",
+        ):
             changes.enter_context(appended(roots["miho"] / place, "\nCHANGED = 1\n"))
         another = roots["baselines"] / "another.py"
         changes.enter_context(appended(another, "from miho.optim import Optimizer\n"))
@@ -67,7 +72,7 @@ def test_code_that_a_run_does_not_use_may_change(
 @pytest.mark.parametrize(
     "place",
     ["optim/oracle.py", "optim/space.py", "compiled/taped.py", "identification/loss.py",
-     "compiled/fit.py", "core/elementary.h", "models/tire.py", "methods/descent.py",
+     "compiled/fit.py", "core/elementary.h", "vehicle/models/tire.py", "methods/descent.py",
      "data/dataset.py"],
 )  # fmt: skip
 def test_one_constant_of_what_it_uses_may_not(
