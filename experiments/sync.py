@@ -1,4 +1,4 @@
-"""Copy the finished runs of a root to MLflow: missing, incomplete and changed ones.
+"""Copy the finished runs of a root to MLflow that it lacks.
 
 python -m experiments.sync runs/identify                  # a database below runs/identify/.mlflow
 python -m experiments.sync runs/identify --uri http://tracker:5000 --experiment tires
@@ -31,7 +31,7 @@ def main() -> int:
     """Parse the arguments and copy; return 3 if some runs could not be written."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.sync",
-        description="Copy finished runs to MLflow. Runs that are there and equal are not touched.",
+        description="Copy finished runs to MLflow. Runs that are there are not touched.",
     )
     parser.add_argument("root", type=root_folder, help="folder of runs")
     parser.add_argument("--uri", help="address of the tracker (a SQLite file below ROOT/.mlflow)")
@@ -50,8 +50,7 @@ def main() -> int:
         print(f"damaged, left out: {row.folder}: {row.reason}", file=sys.stderr)
     print(
         f"{len(stored.runs)} runs: {synced.there} were there, {synced.added} added, "
-        f"{synced.repaired} repaired, {len(synced.failed)} failed; "
-        f"{figures} figures and tables added"
+        f"{len(synced.failed)} failed; {figures} figures and tables added"
     )
     if arguments.uri is None:
         address = f"sqlite:///{tracker.lock.with_suffix('')}"

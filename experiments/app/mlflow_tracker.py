@@ -24,16 +24,7 @@ from filelock import FileLock, Timeout
 
 from experiments.app.build import ConfigError
 from experiments.app.instantiation import MissingLibraryError
-from experiments.app.mirror import (
-    MISSING,
-    Entry,
-    Tracker,
-    TrackerError,
-    digest_of,
-    message_of,
-    numbers_of,
-    word,
-)
+from experiments.app.mirror import MISSING, Tracker, TrackerError, digest_of, message_of
 from miho.study import StoredRun
 from miho.study.curves import error_of
 from miho.study.identity import sha256
@@ -71,28 +62,33 @@ class MLflow(Tracker):
     parent: str
     lock: Path
 
-    @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Hold the lock next to the database, or the lock of the root."""
-        with _locked(self.lock):
-            yield
+    def digests(self) -> set[str]:
+        """`digest_of` each run of the experiment that was written completely."""
+        return {_digest(run) for run in self._runs("tags.`miho.id` LIKE '%'")}
 
-    def entries(self, run: str | None = None) -> list[Entry]:
-        """Entries of the experiment that have an id, or the entries with this id."""
-        if run is not None and not run.isalnum():
-            raise TrackerError(f"run id is {run!r}; expected only letters and digits")
-        matching = f"tags.`miho.id` {'LIKE' if run is None else '='} '{run or '%'}'"
-        entries, token = [], None
-        while True:
+    def add(self, stored: StoredRun) -> None:
+        """Write a run unless it is there, in place of all that was written of it before."""
+        with _locked(self.lock):
+            entries = self._runs(f"tags.`miho.id` = '{stored.result['id']}'")
+            if digest_of(stored) in map(_digest, entries):  # another process was faster
+                return
+            for entry in entries:
+                self.client.delete_run(entry.info.run_id)
+            self._write(stored)
+
+    def _runs(self, matching: str) -> list[Any]:
+        """Runs of the experiment that match a filter of MLflow."""
+        runs, token, more = [], None, True
+        while more:
             page = self.client.search_runs(
                 [self.experiment], matching, max_results=1000, page_token=token
             )
-            entries += [_entry(run) for run in page]
+            runs += page
             token = page.token
-            if not token:
-                return entries
+            more = bool(token)
+        return runs
 
-    def add(self, stored: StoredRun) -> None:
+    def _write(self, stored: StoredRun) -> None:
         """Write a run in one batch (several for long curves), then its files, then its status."""
         result, facts = stored.result, stored.result["facts"]
         start = _milliseconds(stored.environment)
@@ -121,10 +117,6 @@ class MLflow(Tracker):
         end = start + round(1000 * result["seconds"])
         self.client.set_terminated(key, "FINISHED", end)
 
-    def remove(self, entry: Entry) -> None:
-        """Delete a run; it can be restored in MLflow."""
-        self.client.delete_run(entry.key)
-
     def attach(self, root: Path) -> int:
         """Attach the figures and tables of the root to the parent, if changed; return how many.
 
@@ -140,7 +132,7 @@ class MLflow(Tracker):
         names = [path.relative_to(root).as_posix() for path in files]
         digests = [sha256(path.read_bytes()) for path in files]
         digest = sha256("".join(map("\0".join, zip(names, digests, strict=True))))
-        with self.alone():
+        with _locked(self.lock):
             if self.client.get_run(self.parent).data.tags.get("miho.figures") == digest:
                 return 0
             for path in files:
@@ -236,15 +228,29 @@ def _locked(path: Path) -> Iterator[None]:
         ) from None
 
 
-def _entry(run: Any) -> Entry:
-    tags = run.data.tags
-    return Entry(
-        key=run.info.run_id,
-        id=tags["miho.id"],
-        digest=tags.get("miho.digest", ""),
-        whole=run.info.status == "FINISHED",
-        numbers=dict(run.data.metrics),
-    )
+def _digest(run: Any) -> str:
+    """Digest of a run that was written completely; empty for others."""
+    complete = run.info.status == "FINISHED"
+    return str(run.data.tags.get("miho.digest", "")) if complete else ""
+
+
+def numbers_of(stored: StoredRun) -> dict[str, float]:
+    """Results that MLflow stores in addition to the curve, without non-finite values.
+
+    `error` is the root of the loss in the unit of the problem; times are in seconds.
+    """
+    result = stored.result
+    spent = ("evaluations", "seconds", "cpu_seconds", "setup_seconds")
+    numbers = {"error": error_of(result["loss"]), **{key: float(result[key]) for key in spent}}
+    theta = result["theta"] or [math.nan] * len(result["parameters"])
+    for parameter, value in zip(result["parameters"], theta, strict=True):
+        numbers[word(f"theta.{parameter['name']}")] = float(value)
+    return {key: value for key, value in numbers.items() if math.isfinite(value)}
+
+
+def word(name: str) -> str:
+    """Name that MLflow accepts, of letters, digits, '_', '-', '.' and spaces."""
+    return re.sub(r"[^\w.\- ]", "_", name, flags=re.ASCII)[:250]
 
 
 def _milliseconds(environment: Mapping[str, Any]) -> int:

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from experiments.app.cluster_runs import ClusterRuns, cluster_runs
 from experiments.app.execution import execution_of, result_error, result_line, result_unit
-from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
+from experiments.app.mirror import check_tracking, mirror_runs
 from experiments.app.plan import MODULES, POLL, Request, experiment_of
 from experiments.app.schema import SweepConfig
 from experiments.app.signals import Stopped, stopping
@@ -88,7 +88,7 @@ def run(
         try:
             _do(unique, settings, at_once, runs.states)
         except KeyboardInterrupt:
-            say_unmirrored(unique, tracking)
+            mirror_runs(unique, tracking, interrupted=True)
             raise
         except ClusterLost as error:
             runs.states += _unknown(unique, runs.states)
