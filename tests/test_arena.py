@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from baselines.arena.results import FACTOR, PLAIN, pages, separation
+from baselines.arena.results import PLAIN, pages, separation
 from experiments import compare as comparing
 from experiments.app.build import ConfigError, build, recorded_optimum
 from experiments.app.comparing import plan_arena
@@ -26,6 +26,7 @@ from experiments.app.working import State
 from miho import load_runs
 from miho.analysis.compare.comparison import COMPARISON
 from miho.analysis.compare.leaderboard import family_scores, problem_scores
+from miho.analysis.compare.running_time import NEAR_BEST
 from miho.analysis.compare.significance import pairwise
 from miho.study import Status
 
@@ -222,7 +223,7 @@ def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> Non
     folder = ROOT / "docs" / "results" / "arena"
     ert, tests = pd.read_csv(folder / "ert.csv"), pd.read_csv(folder / "tests.csv")
     kinds = pd.read_csv(folder / "problems.csv").set_index("problem")["family"]
-    plain = problem_scores(ert[ert["axis"] == "evaluations"], None, FACTOR)
+    plain = problem_scores(ert[ert["axis"] == "evaluations"], None, NEAR_BEST)
     again = pairwise(plain, "miho_gn")
     assert tests["rival"].tolist() == again["rival"].tolist()
     for column, recomputed in (("wins", "wins"), ("losses", "losses"), (PLAIN, "p_holm")):

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter
 from numpy.typing import NDArray
 
-from miho.analysis.compare.running_time import at_factor, references
+from miho.analysis.compare.running_time import NEAR_BEST, at_factor, references
 from miho.analysis.compare.significance import ranks
 from miho.analysis.curves import Array, Axis, log_grid, positions, step
 from miho.analysis.figures.house import AXIS_LABELS, EndLabel, caption, draw_end_labels, time_label
@@ -245,7 +245,7 @@ DARK_UP_TO = 16.0
 def ert_table(
     ert: pd.DataFrame,
     *,
-    factor: float = 1.01,
+    factor: float = NEAR_BEST,
     axis: str = "evaluations",
     order: pd.DataFrame | None = None,
     note: str = "",

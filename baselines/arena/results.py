@@ -25,7 +25,13 @@ from miho.analysis.compare.leaderboard import (
     problem_scores,
 )
 from miho.analysis.compare.profiles import area_over_curve, data_profile, ecdf, performance_profile
-from miho.analysis.compare.running_time import at_factor, expected_running_time, hits, references
+from miho.analysis.compare.running_time import (
+    NEAR_BEST,
+    at_factor,
+    expected_running_time,
+    hits,
+    references,
+)
 from miho.analysis.compare.significance import (
     FriedmanTest,
     cliques,
@@ -41,7 +47,6 @@ from miho.analysis.text import csv_text
 from miho.analysis.timing import Clock, clock_of, undisturbed
 from miho.study import write_text
 
-FACTOR = 1.01
 TESTED = ("miho_gn", "miho")
 """The first of these methods that takes part is tested against every other. It is fixed beforehand,
 because the winner of the same runs would look better than it is."""
@@ -146,14 +151,14 @@ class ArenaResults:
         }
         ert = {axis: expected_running_time(rows, axis, rng) for axis, rows in on_axes.items()}
         areas = area_over_curve(runs, curves)
-        scores = problem_scores(ert["evaluations"], areas, FACTOR)
+        scores = problem_scores(ert["evaluations"], areas, NEAR_BEST)
         family_of = families(runs)
         by_family = family_scores(scores, family_of)
         try:
             tests = {"problems": friedman(scores), "families": friedman(by_family)}
         except ValueError as error:
             raise TooFewError(str(error)) from None
-        speed_ups = pairwise_speed_up(reached, FACTOR, "evaluations", rng, families=family_of)
+        speed_ups = pairwise_speed_up(reached, NEAR_BEST, "evaluations", rng, families=family_of)
         methods = set(runs["optimizer"])
         tested = next((name for name in TESTED if name in methods), None)
         return cls(
@@ -191,14 +196,14 @@ def arena_tables(results: ArenaResults) -> tuple[dict[str, pd.DataFrame], dict[s
     method, problems = results.tested, len(results.scores)
     facts: dict[str, object] = {"method": method, "unit": results.clock.unit, "close": CLOSE}
     if method is not None:
-        plain = problem_scores(ert, None, FACTOR)
+        plain = problem_scores(ert, None, NEAR_BEST)
         tables["tests"] = head_to_head(
             method, plain, results.scores, results.families, results.speed_ups
         )
         rivals = {
             axis: rows[rows["optimizer"] != LOSSES_ONLY] for axis, rows in results.ert.items()
         }
-        tables["best_rivals"] = best_rivals(rivals, method, FACTOR)
+        tables["best_rivals"] = best_rivals(rivals, method, NEAR_BEST)
         facts |= separation(tables["tests"]) | lead(tables["best_rivals"])
     by_family = len(results.family_scores)
     # The smallest p of a signed-rank test over N families is 2^(1 - N), times Holm's rivals.
@@ -225,7 +230,9 @@ def arena_figures(results: ArenaResults) -> dict[str, Figure]:
             ecdf(reached, "evaluations"), ecdf(timed, clock.axis), clock, note=note
         ),
         "profiles": profiles_figure(
-            data_profile(reached, dimensions, FACTOR), performance_profile(ert, FACTOR), note=note
+            data_profile(reached, dimensions, NEAR_BEST),
+            performance_profile(ert, NEAR_BEST),
+            note=note,
         ),
         "aocc": area_figure(results.areas, note=note),
         "ranks": critical_difference_diagram(
@@ -253,7 +260,7 @@ def _ert_tables(ert: pd.DataFrame, order: pd.DataFrame, note: str) -> dict[str, 
     """Running times on all problems, on as many pages as they need; methods in their order."""
     return {
         f"ert{page}": ert_table(
-            ert[ert["problem"].isin(problems)], factor=FACTOR, order=order, note=note
+            ert[ert["problem"].isin(problems)], factor=NEAR_BEST, order=order, note=note
         )
         for page, problems in pages(ert["problem"]).items()
     }
@@ -279,7 +286,7 @@ def _on_the_clock(clock: Clock, reached: pd.DataFrame) -> pd.DataFrame:
 def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:
     best_known = references(runs)
     first = runs.groupby("problem", sort=False).first()
-    solved = at_factor(reached, FACTOR)
+    solved = at_factor(reached, NEAR_BEST)
     methods = solved[solved["reached"]].groupby("problem")["optimizer"].nunique()
     return pd.DataFrame(
         {
@@ -295,7 +302,7 @@ def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:
 
 
 def _profiles(ert: pd.DataFrame) -> pd.DataFrame:
-    profile = performance_profile(ert, FACTOR, np.array(WITHIN))
+    profile = performance_profile(ert, NEAR_BEST, np.array(WITHIN))
     table = profile.pivot(index="optimizer", columns="tau", values="share")
     table.columns = ["fastest", *(f"within {tau:g}×" for tau in WITHIN[1:])]
     ordered = table.sort_values(list(table.columns[::-1]), ascending=False, kind="stable")

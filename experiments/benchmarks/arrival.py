@@ -19,6 +19,7 @@ from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
 from experiments.benchmarks.figures import arrival_figure
+from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHOGN, Budget, minimize
 
 ROWS = (3000, 30_000, 300_000, 3_000_000)
@@ -39,7 +40,7 @@ def measure(quick: bool) -> Measured:
         optimum = minimize(MIHOGN(), problem, Budget(evaluations=10_000))
         if optimum.theta is None:
             raise RuntimeError("the search for the optimum evaluated no valid configuration")
-        target = 1.01**2 * optimum.loss
+        target = NEAR_BEST**2 * optimum.loss
         budget = Budget(evaluations=40_000, target=target)
         at = optimum.theta[None]
         look = interleaved({LOOK: partial(problem.loss, at)}, 10)[LOOK]

@@ -27,6 +27,7 @@ from experiments.benchmarks.simulation_times import simulation_times
 from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
 from experiments.benchmarks.virtual_workers import virtual_search
 from experiments.benchmarks.workers_figures import many_workers_figure
+from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHO, MIHOGN, AsynchronousMIHOGN, Budget, Optimizer, RandomSearch, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
@@ -46,7 +47,6 @@ SIZES = (1, 3, 10, 32, 100, 316, 1000, 3162, 10_000)
 REAL_SIZES = (1, 2, 4, 8, 16, 32, 64)
 SECONDS, REAL_SECONDS = 1.0, 0.05
 SEEDS = 15
-WITHIN = 1.01
 TASKS = 1000
 NEAR = 0.15
 """Largest median of the relative differences between simulated and real seconds."""
@@ -144,7 +144,7 @@ def measure(quick: bool, check: bool) -> Measured:
         "log-normal": Lengths(SECONDS, SIGMA),
         "measured": Lengths(SECONDS, measured=tuple(times.tolist())),
     }
-    overhead, target = measured_overhead(), WITHIN * optimum()
+    overhead, target = measured_overhead(), NEAR_BEST * optimum()
     frame = pd.DataFrame(growth(quick, spreads, overhead, target))
     late = frame.assign(seconds=frame["seconds"].fillna(math.inf))
     medians = late.groupby(["spread", "workers", "method"])["seconds"].median().unstack()

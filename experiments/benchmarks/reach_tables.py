@@ -11,13 +11,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.analysis.compare.running_time import FACTORS, running_times
+from miho.analysis.compare.running_time import FACTORS, NEAR_BEST, running_times
 from miho.optim.minimize import Outcome
 
 Array = NDArray[np.float64]
 
-CLOCKED = 1.01
-"""The factor whose milliseconds are shown."""
 SAME_OPTIMUM = 1e-4
 """Largest relative difference of two losses of the same optimum. Error bars are wider, and the
 tolerances of solvers are much smaller."""
@@ -86,12 +84,12 @@ def reach_table(hits: pd.DataFrame) -> pd.DataFrame:
     """A row per problem and variant: ERT to each factor, and statistics for the smallest factor.
 
     `median`, `90 %` and `largest` are evaluations to the smallest factor, inf for a run that does
-    not reach it; `ms` is the median of the milliseconds to the factor CLOCKED.
+    not reach it; `ms` is the median of the milliseconds to the factor NEAR_BEST.
     """
     group = ["problem", "optimizer"]
     times = running_times(hits, "evaluations").pivot(index=group, columns="factor", values="ert")
     last = hits[hits["factor"] == min(FACTORS)].groupby(group)
-    clocked = hits[hits["factor"] == CLOCKED].groupby(group)
+    clocked = hits[hits["factor"] == NEAR_BEST].groupby(group)
     table = times[list(FACTORS)].rename(columns="{:g}".format)
     table["success"] = last["reached"].mean()
     for name, share in (("median", 0.5), ("90 %", 0.9), ("largest", 1.0)):

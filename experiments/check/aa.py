@@ -26,12 +26,12 @@ from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 from miho.analysis.compare.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.compare.profiles import area_over_curve
-from miho.analysis.compare.running_time import hits, running_times
+from miho.analysis.compare.running_time import NEAR_BEST, hits, running_times
 from miho.analysis.compare.significance import pairwise, pairwise_speed_up
 from miho.analysis.text import to_markdown
 from miho.study import load_runs
 
-REPETITIONS, EVALUATIONS, FACTOR, LEVEL = 20, 10_000, 1.01, 0.05
+REPETITIONS, EVALUATIONS, LEVEL = 20, 10_000, 0.05
 METHOD = "pso_constriction"
 
 
@@ -50,12 +50,12 @@ def main() -> None:
     for frame in (runs, curves):
         frame["optimizer"] = np.where(frame["seed"] % 2, "B", "A")
         frame["seed"] //= 2
-    reached = hits(runs, curves, (FACTOR,))
+    reached = hits(runs, curves, (NEAR_BEST,))
     ert, areas = running_times(reached, "evaluations"), area_over_curve(runs, curves)
-    scores, kinds = problem_scores(ert, areas, FACTOR), families(runs)
+    scores, kinds = problem_scores(ert, areas, NEAR_BEST), families(runs)
     test, strict = (pairwise(table).iloc[0] for table in (scores, family_scores(scores, kinds)))
     rng = np.random.default_rng(0)
-    ratio = pairwise_speed_up(reached, FACTOR, "evaluations", rng, families=kinds).iloc[0]
+    ratio = pairwise_speed_up(reached, NEAR_BEST, "evaluations", rng, families=kinds).iloc[0]
     print(to_markdown(leaderboard(runs, curves)))
     print(
         f"{method} against itself on {len(scores)} problems, {REPETITIONS // 2} runs on each: "

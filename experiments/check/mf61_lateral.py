@@ -25,6 +25,7 @@ from experiments.app.build import build, build_space
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.check import reference_data
+from miho.analysis.compare.running_time import NEAR_BEST
 from miho.identification import CurveFit
 from miho.models.model import central_differences
 from miho.optim import Budget, Space, minimize
@@ -87,7 +88,7 @@ def identification(path: Path, space: Space, starts: int = STARTS) -> dict[str, 
         errors.append(np.sqrt(2 * fit.cost / len(data)))
         predicted = problem.model.predict(fit.x[None], *columns)[0]
         unseen.append(100 * np.sqrt(np.mean((predicted - truth) ** 2)) / peak)
-    success = np.array(errors) < 1.01 * min(errors)
+    success = np.array(errors) < NEAR_BEST * min(errors)
     best = int(np.argmin(errors))
     return {
         "tire": path.stem,

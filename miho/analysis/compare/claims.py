@@ -19,6 +19,7 @@ from miho.analysis.compare.bootstrap import (
     mean_error,
     speed_up,
 )
+from miho.analysis.compare.running_time import NEAR_BEST
 from miho.analysis.compare.size import (
     MIHO,
     PAPER,
@@ -50,7 +51,6 @@ FLAT = ("gbo_small", 0.1)
 IDLE = 0.1
 """Largest share of evaluations without improvement of a stable descent, whose error falls at every
 step."""
-NEAR_BEST = 1.01
 
 
 def is_on_a_tire(runs: pd.DataFrame) -> bool:

@@ -8,20 +8,20 @@ import numpy as np
 import pandas as pd
 
 from miho.analysis.compare.profiles import area_over_curve
-from miho.analysis.compare.running_time import at_factor, hits, running_times
+from miho.analysis.compare.running_time import NEAR_BEST, at_factor, hits, running_times
 from miho.analysis.compare.significance import ranks
 from miho.analysis.curves import Axis, to_target
 from miho.analysis.tidy import one_problem, shown_unit
 from miho.analysis.timing import UNITS, clock_of, undisturbed
 
-RANKED, STRICT = 1.01, 1.001
+STRICT = 1.001
 
 
 def leaderboard(
     runs: pd.DataFrame,
     curves: pd.DataFrame,
     *,
-    factor: float = RANKED,
+    factor: float = NEAR_BEST,
     strict: float = STRICT,
     axis: Axis = "evaluations",
     budget: float | Mapping[str, float] | None = None,

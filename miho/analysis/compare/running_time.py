@@ -26,7 +26,9 @@ from miho.analysis.tidy import comparison, require_columns
 
 Array = NDArray[np.float64]
 
-FACTORS = (1.5, 1.1, 1.01, 1.001)
+NEAR_BEST = 1.01
+"""A run succeeds if its error is at most this factor times the best known error."""
+FACTORS = (1.5, 1.1, NEAR_BEST, 1.001)
 GROUP = ["problem", "optimizer", "factor"]
 ROUNDING = 1e-9
 """Relative difference of two errors that another order of summation explains."""
