@@ -51,18 +51,18 @@ class PublishedModel(Expression):
         return FORMS[self.name]
 
     @property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """The input columns."""
         count = self.form.inputs
         return dict.fromkeys(("x",) if count == 1 else _numbered("x", count), "-")
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """b1, b2, ..."""
         return dict.fromkeys(_numbered("b", self.form.parameters), "-")
 
     @property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """The parameters in which the output is jointly linear."""
         return tuple(f"b{number}" for number in self.form.linear)
 

@@ -54,7 +54,7 @@ class ResidualSystem(Model):
         whole("length", self.length, 1)
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """The system and its length."""
         return f"{self.system}_{self.length}"
 
@@ -74,16 +74,18 @@ class ResidualSystem(Model):
         return np.array(self.published.start(self.length), dtype=float)
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """x1, x2, ..."""
         return {f"x{number}": "-" for number in range(1, self.length + 1)}
 
-    def predict(self, thetas: Array, row: Array) -> Array:  # type: ignore[override]
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Residuals (n, N) of parameter rows (n, d) in the rows (N,)."""
+        (row,) = inputs
         return self._residuals(thetas)[:, row.astype(int) - 1]
 
-    def jacobian(self, theta: Array, row: Array) -> Array:  # type: ignore[override]
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the residuals in the rows (N,), (N, d), at one configuration (d,)."""
+        (row,) = inputs
         moved = theta + 1j * STEP * np.eye(theta.size)
         return np.asarray(self._residuals(moved).imag.T[row.astype(int) - 1] / STEP)
 

@@ -92,7 +92,7 @@ class Counted(Problem):
         return self.inner.loss(thetas, fidelity)
 
     @property
-    def kernel(self) -> Kernel | None:  # type: ignore[override]
+    def kernel(self) -> Kernel | None:
         """The problem's compiled steps."""
         return CompiledSteps(self._climb)
 

@@ -122,12 +122,12 @@ class LinearModel(Model):
     columns: int
 
     @property
-    def inputs(self) -> dict[str, str]:  # type: ignore[override]
+    def inputs(self) -> dict[str, str]:
         """x0, x1, ..."""
         return {f"x{k}": "-" for k in range(self.columns)}
 
     @property
-    def parameters(self) -> dict[str, str]:  # type: ignore[override]
+    def parameters(self) -> dict[str, str]:
         """b0, b1, ..."""
         return {f"b{k}": "-" for k in range(self.columns)}
 

@@ -32,6 +32,8 @@ METHODS = ("gbo_small", "gbo_large")
 class Watched(LeastSquaresProblem):
     """A problem that records the mean square of all residuals it returns, in `losses`."""
 
+    jacobian_cost: int | None
+
     def __init__(self, problem: LeastSquaresProblem) -> None:
         self.problem, self.name, self.space = problem, problem.name, problem.space
         self.jacobian_cost = problem.jacobian_cost

@@ -155,7 +155,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         check_sigma(self)
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:  # type: ignore[override]  # settable in other problems
         """The label; by default the names of model and dataset, once if they are the same."""
         if self.label is not None:
             return self.label
@@ -168,7 +168,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return isinstance(self.rho, Square)
 
     @property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """Parameters in which the residuals are jointly linear."""
         if not self._square:
             return ()
@@ -184,7 +184,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return self.dataset.units[self.dataset.output]
 
     @cached_property
-    def noise(self) -> float:  # type: ignore[override]
+    def noise(self) -> float:
         """Upper estimate of the mean square of the noise, from the scatter of neighbouring points.
 
         Infinite if it is unknown, for example with priors or weights.
@@ -196,7 +196,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return irreducible_square(self.inputs, self._output)
 
     @property
-    def row_inputs(self) -> tuple[Array, ...]:  # type: ignore[override]
+    def row_inputs(self) -> tuple[Array, ...]:
         """Input columns along which noise has no structure; empty if errors of rows are not noise.
 
         This is the case for a system with memory, and for a robust loss.
@@ -204,12 +204,12 @@ class CurveFit(Remade, LeastSquaresProblem):
         return self.inputs if self._square and not self.model.ordered else ()
 
     @cached_property
-    def rounding(self) -> float:  # type: ignore[override]
+    def rounding(self) -> float:
         """Largest loss that is rounding and counts as 0, in the output's unit squared."""
         return (ROUNDING * EPSILON) ** 2 * float(np.mean(self._output**2))
 
     @cached_property
-    def resolution(self) -> float:  # type: ignore[override]
+    def resolution(self) -> float:
         """Difference below which two losses count as equal, in the output's unit squared.
 
         A fit that explains nothing has a loss as large as the variance of the output; at that size
@@ -255,7 +255,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return self._output if self.weights is None else self._output * self.weights
 
     @cached_property
-    def kernel(self) -> FitKernel | None:  # type: ignore[override]
+    def kernel(self) -> FitKernel | None:
         """Fast forms of the loss, None if the machine cannot run it."""
         formula, taped = self._residual_formula, self._taped_residuals
         if not self.compiled or formula is None or taped is None:
@@ -332,7 +332,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return row_order(self.inputs, stream("fidelity", self.dataset.digest))
 
     @property
-    def order(self) -> NDArray[np.intp] | None:  # type: ignore[override]
+    def order(self) -> NDArray[np.intp] | None:
         """Order in which a fidelity takes the rows, None if it takes all."""
         return None if self._all_rows else self._order
 
@@ -341,7 +341,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return self._rows(fidelity) / len(self.dataset)
 
     @property
-    def rows(self) -> int | None:  # type: ignore[override]
+    def rows(self) -> int | None:
         """Number of rows of the data, None if a loss needs all of them."""
         return None if self._all_rows else len(self.dataset)
 
@@ -355,7 +355,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return None if rows == len(self.dataset) else self._order[:rows]
 
     @property
-    def jacobian_cost(self) -> int | None:  # type: ignore[override]
+    def jacobian_cost(self) -> int | None:
         """Cost of the model's Jacobian, in evaluations."""
         return self.model.jacobian_cost
 
@@ -368,7 +368,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         return description(self.model, (*self.inputs, self._output))
 
     @property
-    def called_as(self) -> list[list[bool | None]]:  # type: ignore[override]
+    def called_as(self) -> list[list[bool | None]]:
         """How trial calls have shown that the model's functions are to be called."""
         return tried_calls(self.model)
 

@@ -188,7 +188,7 @@ class FmuModel(Remade, ExternalModel):
         return self.units.get(name, _spelled(unit))
 
     @cached_property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """Units of the columns: time, inputs, and the number of the output."""
         return (
             {self.time: self.units.get(self.time, "s")}
@@ -197,22 +197,22 @@ class FmuModel(Remade, ExternalModel):
         )
 
     @cached_property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """Units by name."""
         return {name: self._unit(name, own) for name, own in self._parameters.items()}
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """Unit of the outputs, "-" if they are divided by scales."""
         return NO_UNIT if self.scales else self._unit(self.outputs[0], self.outputs[0])
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """Name of the file."""
         return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(self.path).stem)
 
     @property
-    def source(self) -> Path:  # type: ignore[override]
+    def source(self) -> Path:
         """The file."""
         return Path(self.path)
 

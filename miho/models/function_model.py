@@ -172,7 +172,7 @@ class FunctionModel(DifferencedModel):
         return model
 
     @property
-    def ordered(self) -> bool:  # type: ignore[override]
+    def ordered(self) -> bool:
         """Whether the function may need every row in order: true unless known to be `rowwise`."""
         return not (self.tried.rowwise if self.rowwise is None else self.rowwise)
 
@@ -356,34 +356,34 @@ class FunctionFormula(TracedExpression):
         return trace(self.function.function, *self.columns, **named)
 
     @cached_property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """The declared linear parameters, otherwise the ones found by the trace."""
         if self.function.linear:
             return self.function.linear
         return self.jointly_linear
 
     @property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """Units by name."""
         return self.function.inputs
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """Units by name."""
         return self.function.parameters
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """The unit of the result."""
         return self.function.output
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """The function's name."""
         return self.function.name
 
     @property
-    def source(self) -> Path | None:  # type: ignore[override]
+    def source(self) -> Path | None:
         """File of the function."""
         return self.function.source
 

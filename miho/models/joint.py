@@ -66,7 +66,7 @@ class JointModel(Model):
         )
 
     @cached_property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """Units of the part's number and of the inputs of all parts."""
         units = {PART: "-"}
         for part in self.parts:
@@ -74,7 +74,7 @@ class JointModel(Model):
         return units
 
     @cached_property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """Units of the parameters of all parts, in order of first use."""
         units: dict[str, str] = {}
         for part in self.parts:
@@ -83,18 +83,18 @@ class JointModel(Model):
         return units
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """Unit of the parts, "" if their units differ."""
         units = {part.model.output for part in self.parts}
         return units.pop() if len(units) == 1 else ""
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """The names of the parts."""
         return "-".join(part.name for part in self.parts)
 
     @property
-    def defaults(self) -> Mapping[str, float]:  # type: ignore[override]
+    def defaults(self) -> Mapping[str, float]:
         """Defaults of parameters with the same default in each part that uses them."""
         values: dict[str, set[float | None]] = {}
         for part in self.parts:
@@ -105,12 +105,12 @@ class JointModel(Model):
         return {name: value for name, value in known.items() if value is not None}
 
     @property
-    def ordered(self) -> bool:  # type: ignore[override]
+    def ordered(self) -> bool:
         """Whether any part needs every row in order."""
         return any(part.model.ordered for part in self.parts)
 
     @cached_property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """Parameters in which every part that uses them is linear.
 
         Each row depends on one part, so the output is jointly linear in these parameters.

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,17 +56,33 @@ class Model(ABC):
         rows (n, d) to values (n,).
     """
 
-    inputs: Mapping[str, str]
-    parameters: Mapping[str, str]
-    output: str
-    linear: tuple[str, ...] = ()
-    name: str = ""
-    source: Path | None = None
-    ordered: bool = False
-    nominal: Mapping[str, tuple[str, float]] = MappingProxyType({})
-    defaults: Mapping[str, float] = MappingProxyType({})
-    jacobian_cost: int | None = None
-    derived: Mapping[str, tuple[str, Callable[[Array], Array]]] = MappingProxyType({})
+    if TYPE_CHECKING:  # read-only, so that a subclass may declare or compute them
+
+        @property
+        def inputs(self) -> Mapping[str, str]: ...
+        @property
+        def parameters(self) -> Mapping[str, str]: ...
+        @property
+        def output(self) -> str: ...
+        @property
+        def linear(self) -> tuple[str, ...]: ...
+        @property
+        def name(self) -> str: ...
+        @property
+        def source(self) -> Path | None: ...
+        @property
+        def ordered(self) -> bool: ...
+        @property
+        def nominal(self) -> Mapping[str, tuple[str, float]]: ...
+        @property
+        def defaults(self) -> Mapping[str, float]: ...
+        @property
+        def jacobian_cost(self) -> int | None: ...
+        @property
+        def derived(self) -> Mapping[str, tuple[str, Callable[[Array], Array]]]: ...
+    else:
+        linear, name, source, ordered, jacobian_cost = (), "", None, False, None
+        nominal = defaults = derived = MappingProxyType({})
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
         """Return this model with `wrap` applied to each component that may be expensive."""
@@ -157,7 +173,7 @@ class DifferencedModel(Model):
         return central_differences(predict, theta, *inputs)
 
     @property
-    def jacobian_cost(self) -> int:  # type: ignore[override]
+    def jacobian_cost(self) -> int:
         """Two evaluations per parameter; a few more near 0 and near values that are not finite."""
         return 2 * len(self.parameters)
 
@@ -199,7 +215,7 @@ class ExternalModel(Model):
         return np.asarray(((high - low) / width[:, None]).T)
 
     @property
-    def jacobian_cost(self) -> int:  # type: ignore[override]
+    def jacobian_cost(self) -> int:
         """Two simulations per parameter; a failed one adds a simulation at the point itself."""
         return 2 * len(self.parameters)
 

@@ -13,6 +13,9 @@ from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.parallel import Evaluated, Evaluations
 from miho.quantities import Array
 
+DECLARED = ("inputs", "parameters", "output", "linear", "name", "source", "ordered", "nominal")
+"""Attributes of the model that the wrapper has too."""
+
 
 class SpreadModel(Model):
     """A model whose parameter rows are evaluated by `evaluations`.
@@ -29,16 +32,14 @@ class SpreadModel(Model):
         place: str,
         losses: Callable[[Array], Array] | None = None,
     ) -> None:
-        self.inputs, self.parameters, self.output = model.inputs, model.parameters, model.output
-        self.linear, self.name, self.source = model.linear, model.name, model.source
-        self.ordered, self.nominal = model.ordered, model.nominal
+        vars(self).update({name: getattr(model, name) for name in DECLARED})
         self.model, self._evaluations, self._place = model, evaluations, place
         self._losses = losses
         self._tasks: dict[tuple[str, bytes], Evaluated] = {}
         self._digests: dict[tuple[int, ...], tuple[tuple[Array, ...], bytes]] = {}
 
     @property
-    def jacobian_cost(self) -> int | None:  # type: ignore[override]
+    def jacobian_cost(self) -> int | None:
         """Cost of a Jacobian of the model."""
         return self.model.jacobian_cost
 

@@ -262,31 +262,31 @@ class _Tied(Remade, Model):
     ties: Ties
 
     @property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         return self.model.inputs  # type: ignore[no-any-return]
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         return self.ties.free
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         return self.model.output  # type: ignore[no-any-return]
 
     @cached_property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         return self.ties.linear(self.model.linear)
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         return self.model.name or type(self.model).__name__.lower()
 
     @property
-    def source(self) -> Path | None:  # type: ignore[override]
+    def source(self) -> Path | None:
         return self.model.source  # type: ignore[no-any-return]
 
     @property
-    def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
+    def nominal(self) -> Mapping[str, tuple[str, float]]:
         return self.model.nominal  # type: ignore[no-any-return]
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
@@ -307,12 +307,12 @@ class TiedModel(_Tied):
         return replace(self, model=self.model.with_leaves(wrap))
 
     @property
-    def ordered(self) -> bool:  # type: ignore[override]
+    def ordered(self) -> bool:
         """Whether the model of all parameters is ordered."""
         return self.model.ordered
 
     @property
-    def jacobian_cost(self) -> int:  # type: ignore[override]
+    def jacobian_cost(self) -> int:
         """Cost of the derivatives with respect to all parameters."""
         cost = self.model.jacobian_cost
         return len(self.model.parameters) if cost is None else cost

@@ -224,7 +224,7 @@ class Trajectory(Model):
         return {k: v for k, v in self._columns.items() if k != self.time and k not in self.states}
 
     @cached_property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """Units of the columns: time, inputs, measured states, and the number of the output."""
         measured = [state for state, start in self.states.items() if start == MEASURED]
         return (
@@ -235,7 +235,7 @@ class Trajectory(Model):
         )
 
     @cached_property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """Units of the functions' parameters and of the identified initial states."""
         own = _agreeing(self.units, [function.parameters for function in self._functions])
         starts = {
@@ -252,12 +252,12 @@ class Trajectory(Model):
         return own | starts
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """Unit of the outputs, "-" if they are divided by scales."""
         return NO_UNIT if self.scales else self._output_units[0]
 
     @property
-    def derived(self) -> Mapping[str, tuple[str, Callable[[Array], Array]]]:  # type: ignore[override]
+    def derived(self) -> Mapping[str, tuple[str, Callable[[Array], Array]]]:
         """Unit of each quantity and its function of parameter rows, by name."""
         names = list(self.parameters)
 

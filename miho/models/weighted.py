@@ -37,27 +37,27 @@ class WithInput(Model):
     added: ClassVar[str] = WEIGHT
 
     @cached_property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """The model's inputs and the added one, which has no unit."""
         return {**self.model.inputs, self.added: "-"}
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """Units by name."""
         return self.model.parameters
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """Unit of the result."""
         return self.model.output
 
     @property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """Parameters in which the output is jointly linear."""
         return self.model.linear
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """The model's name."""
         return self.model.name
 

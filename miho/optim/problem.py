@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,13 +51,26 @@ class Problem(ABC):
 
     name: str
     space: Space
-    kernel: Kernel | None = None
-    rounding: float = 0.0
-    resolution: float = 0.0
-    noise: float = math.inf
-    row_inputs: Sequence[Array] = ()
-    rows: int | None = None
-    called_as: Sequence[Any] = ()
+    if TYPE_CHECKING:  # read-only, so that a subclass may declare or compute them
+
+        @property
+        def kernel(self) -> Kernel | None: ...
+        @property
+        def rounding(self) -> float: ...
+        @property
+        def resolution(self) -> float: ...
+        @property
+        def noise(self) -> float: ...
+        @property
+        def row_inputs(self) -> Sequence[Array]: ...
+        @property
+        def rows(self) -> int | None: ...
+        @property
+        def called_as(self) -> Sequence[Any]: ...
+    else:
+        kernel = rows = None
+        rounding, resolution, noise = 0.0, 0.0, math.inf
+        row_inputs = called_as = ()
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -117,9 +130,16 @@ class LeastSquaresProblem(Problem):
         order.
     """
 
-    jacobian_cost: int | None = None
-    linear: tuple[str, ...] = ()
-    order: NDArray[np.intp] | None = None
+    if TYPE_CHECKING:
+
+        @property
+        def jacobian_cost(self) -> int | None: ...
+        @property
+        def linear(self) -> tuple[str, ...]: ...
+        @property
+        def order(self) -> NDArray[np.intp] | None: ...
+    else:
+        jacobian_cost, linear, order = None, (), None
 
     @abstractmethod
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:

@@ -30,12 +30,17 @@ JournalFile = str | os.PathLike[str] | Journal | None
 
 
 class SpreadProblem(Problem):
-    """A wrapped problem whose losses are evaluated elsewhere."""
+    """A wrapped problem whose losses are evaluated elsewhere.
+
+    It has the values of the wrapped problem for all attributes in `declared`.
+    """
+
+    declared: tuple[str, ...] = (
+        "name", "space", "rows", "rounding", "resolution", "noise", "row_inputs",
+    )  # fmt: skip
 
     def __init__(self, problem: Problem, evaluations: Evaluations) -> None:
-        self.name, self.space, self.rows = problem.name, problem.space, problem.rows
-        self.rounding, self.resolution = problem.rounding, problem.resolution
-        self.noise, self.row_inputs = problem.noise, problem.row_inputs
+        vars(self).update({name: getattr(problem, name) for name in self.declared})
         self.problem, self._evaluations = problem, evaluations
         self._tasks: dict[tuple[str, float], Evaluated] = {}
 
@@ -59,10 +64,7 @@ class SpreadProblem(Problem):
 class SpreadLeastSquares(SpreadProblem, LeastSquaresProblem):
     """A wrapped least-squares problem; residuals and derivatives are also evaluated elsewhere."""
 
-    def __init__(self, problem: LeastSquaresProblem, evaluations: Evaluations) -> None:
-        super().__init__(problem, evaluations)
-        self.linear, self.order = problem.linear, problem.order
-        self.jacobian_cost = problem.jacobian_cost
+    declared = (*SpreadProblem.declared, "linear", "order", "jacobian_cost")
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Residuals (m,) of one configuration (d,)."""

@@ -95,7 +95,7 @@ class Watched(Problem):
         return self.fit.losses(thetas)
 
     @property
-    def kernel(self) -> Kernel | None:  # type: ignore[override]
+    def kernel(self) -> Kernel | None:
         return Counting(self._climb) if self.compiled else None
 
     def _climb(self, steps: Steps, best: float, target: float) -> Block:

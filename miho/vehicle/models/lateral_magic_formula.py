@@ -92,23 +92,23 @@ class LateralMagicFormula(Model):
             raise ValueError("identified is empty; name at least one coefficient")
 
     @property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """The input columns with their units."""
         pressure = {"pressure": "Pa"} if PRESSURE & set(self.identified) else {}
         return {"alpha": "rad", "Fz": "N", "gamma": "rad"} | pressure
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """The identified coefficients with their units."""
         return {name: COEFFICIENTS[name] for name in self.identified}
 
     @property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """The identified coefficients in which the force is linear."""
         return tuple(name for name in self.identified if name in ("PVY1", "PVY2"))
 
     @property
-    def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
+    def nominal(self) -> Mapping[str, tuple[str, float]]:
         """Nominal load [N] and pressure [Pa] of the coefficients."""
         p = self.base.parameters
         references = {"Fz": ("FNOMIN", p.LFZO * p.FNOMIN), "pressure": ("NOMPRES", p.NOMPRES)}

@@ -105,27 +105,27 @@ class TireFormula(TracedExpression):
         return getattr(tire.forces_at(tire.conditions(**at)), self.force)
 
     @property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+    def linear(self) -> tuple[str, ...]:
         """The coefficients in which the force is jointly linear."""
         return self.jointly_linear
 
     @property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+    def inputs(self) -> Mapping[str, str]:
         """The input columns with their units."""
         return {name: INPUTS[name] for name in self.columns_of}
 
     @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+    def parameters(self) -> Mapping[str, str]:
         """The coefficients with their units, "" if unknown."""
         return {name: COEFFICIENTS.get(name, "") for name in self.coefficients}
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """The unit of the force or moment."""
         return OUTPUTS[self.force]
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """Name of the force, after the name of the file if there is one."""
         return self.force if self.source is None else f"{self.source.stem}_{self.force}"
 
