@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import NamedTuple
 
 from miho.quantities import Array
@@ -12,6 +13,8 @@ SINGULAR = 1e-14
 depends on the previous ones, and stays unchanged while the same others are free."""
 DEPENDENT = 0.5
 """Marks such a parameter; free parameters have 1, parameters at a bound 0."""
+SMALLEST = sys.float_info.min
+"""The smallest normal number."""
 
 
 def square_sum(r: Array, count: int) -> float:
@@ -30,7 +33,7 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
     for k in range(n):
         v, diagonal = rows[k], T[k, k]
         square = v @ v
-        if square == 0.0:
+        if square < SMALLEST:  # a column of zeros: 1 / square would overflow
             continue
         norm = -math.copysign(math.sqrt(diagonal * diagonal + square), diagonal)
         first = diagonal - norm

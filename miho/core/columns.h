@@ -1,5 +1,7 @@
 /* Sums over columns of rows. Compiled once for each level, by operations.h. */
 
+#define SMALLEST 0x1p-1022      /* the smallest normal number */
+
 /* Eight sums in pairs: with every eighth term in each, the same bits whatever the processor. */
 static double in_pairs(const double *sums) {
     double even = (sums[0] + sums[4]) + (sums[2] + sums[6]);
@@ -27,7 +29,7 @@ static void fold(double *T, int64_t side, double *columns, int64_t stride, int64
     for (int64_t k = 0; k < n; k++) {
         double *v = columns + k * stride, *row = T + k * side;
         double square = product_sum(v, v, rows), diagonal = row[k];
-        if (square == 0.0) continue;
+        if (square < SMALLEST) continue; /* a column of zeros: 1 / square would overflow */
         double norm = -__builtin_copysign(__builtin_sqrt(diagonal * diagonal + square), diagonal);
         double first = diagonal - norm, factor = 2.0 / (first * first + square);
         row[k] = norm;

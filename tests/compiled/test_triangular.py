@@ -67,6 +67,18 @@ def test_a_column_of_zeros_has_none_but_zeros(zero: int) -> None:
     np.testing.assert_allclose(T.T @ T, rows.T @ rows, rtol=0, atol=BACKWARD * 50)
 
 
+@pytest.mark.parametrize("size", [1e-154, 1e-158, 1e-163])
+def test_a_column_whose_square_is_no_normal_number_is_finite(size: float) -> None:
+    """1 / 1e-316 overflows; the factor is that of a column of zeros, or nearly."""
+    rows = np.random.default_rng(6).standard_normal((50, 4))
+    rows[:, 1] *= size
+    T = factor(rows, [20, 50])
+    assert (np.abs(T[:, 1]) <= 100 * size).all()
+    rest = [0, 2, 3]
+    R = np.linalg.qr(rows[:, rest])[1]
+    np.testing.assert_allclose(T[:, 3] @ T[:, 3], R[:, 2] @ R[:, 2], rtol=1e-12)
+
+
 def test_squares_are_summed() -> None:
     """500 positive numbers in any order: as many roundings at most, of 1.1e-16 of their sum."""
     r = np.random.default_rng(4).standard_normal(700)

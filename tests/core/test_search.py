@@ -61,7 +61,7 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
     for k in range(n):
         v, diagonal = rows[k], T[k, k]
         square = product_sum(v, v)
-        if square == 0.0:
+        if square < triangular.SMALLEST:
             continue
         norm = -math.copysign(math.sqrt(diagonal * diagonal + square), diagonal)
         first = diagonal - norm
@@ -134,6 +134,20 @@ def assert_python_takes_the_same_steps(
         with python_steps():
             by_python = searched(problem, method, seed, evaluations)
         assert_same(by_machine, by_python)
+
+
+@pytest.mark.parametrize("size", [1e-154, 1e-158])
+def test_derivatives_whose_squares_are_no_normal_numbers(size: float) -> None:
+    """They are finite, and the search takes the same steps with or without the machine."""
+    data = fit().dataset
+
+    def decay(t: Array, a: float, b: float, c: float) -> Any:
+        return a * np.exp(-b * t) + size * c
+
+    problem = CurveFit(FunctionModel(decay, columns=("t",)), data, fit().space)
+    assert problem.kernel is not None and problem.kernel.rows is not None
+    assert_python_takes_the_same_steps(problem, MIHOGN(projecting=0))
+    assert not searched(problem, MIHOGN(projecting=0), 0, 300)[1].meter.rejected
 
 
 def at_level(problem: CurveFit, level: int) -> CurveFit:
