@@ -42,6 +42,33 @@ MOVED = {
     "miho.models.ResidualSystem": "baselines.problems.ResidualSystem",
 }
 """Present dotted names of modules and public names, by former ones."""
+SETTINGS = {
+    "rows": "rows_per_parameter",
+    "jump": "full_data_share",
+    "enough": "max_rows_per_parameter",
+    "base": "base_cost",
+    "largest": "max_cost",
+    "least": "min_candidates",
+    "most": "max_candidates",
+    "steps": "steps_per_rung",
+    "lead": "leader_steps",
+    "fading": "scale_decay",
+    "reach": "max_step",
+    "radius": "max_step",
+    "secants": "max_secants",
+    "guesses": "max_predicted_steps",
+    "refresh": "hessian_interval",
+    "projecting": "projection_period",
+    "edge": "simplex_edge",
+    "polish": "simplex_budget",
+    "digits": "final_tolerance",
+    "progress": "min_progress",
+    "doubtful": "doubtful_brackets",
+    "longer": "doubtful_cost",
+    "brackets": "max_brackets",
+}
+"""Present names of the settings of METHODS, by former ones."""
+METHODS = ("MIHOGN", "AsynchronousMIHOGN", "MIHOQN")
 PACKAGES = {"miho.data": "miho.vehicle.data", "miho.models": "miho.vehicle.models"}
 """Packages of which some names and modules moved to another package."""
 
@@ -57,10 +84,12 @@ def new_name(name: str) -> str | None:
 
 
 def with_present_names(config: Any) -> Any:
-    """Return a stored configuration in which each `_target_` has its present dotted name."""
+    """Return a stored configuration with the present names of targets and settings."""
     if isinstance(config, dict):
+        target = config.get("_target_")
+        settings = SETTINGS if str(target).rpartition(".")[2] in METHODS else {}
         return {
-            key: new_name(value) or value
+            settings.get(key, key): new_name(value) or value
             if key == "_target_" and isinstance(value, str)
             else with_present_names(value)
             for key, value in config.items()

@@ -341,14 +341,14 @@ def test_a_run_that_ran_out_of_brackets_may_have_more(root: Path) -> None:
     ran_out = replace(
         stored,
         result={**stored.result, "optimizer": "miho_gn", "outcome": "brackets"},
-        config={**stored.config, "optimizer": {"brackets": 200}},
+        config={**stored.config, "optimizer": {"max_brackets": 200}},
     )
     advice = remedy(rebuild(stored), ran_out)
     assert advice.startswith(
-        "search again with more brackets: optimizer.brackets=2000; another method: "
+        "search again with more brackets: optimizer.max_brackets=2000; another method: "
     )
     assert "optimizer=miho_gn" not in advice
-    composed(["optimizer=miho_gn", "optimizer.brackets=2000"])
+    composed(["optimizer=miho_gn", "optimizer.max_brackets=2000"])
 
 
 def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:

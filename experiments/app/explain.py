@@ -20,6 +20,7 @@ from omegaconf.nodes import BooleanNode, FloatNode, IntegerNode
 
 from experiments.app.options import options_of, source
 from experiments.app.schema import RENAMED
+from miho.moved import SETTINGS
 
 EXPECTED: dict[type, str] = {
     IntegerNode: "a whole number",
@@ -133,6 +134,9 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         key = str(cause.full_key)
         if key in RENAMED:
             return f"{key}: {RENAMED[key]}"
+        group, _, name = key.rpartition(".")
+        if SETTINGS.get(name) in node:
+            return f"{key}: is now {group}.{SETTINGS[name]}"
         return unknown_message(key, node) + _having(key)
     if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
         expected = EXPECTED.get(type(node._get_node(cause.key)))

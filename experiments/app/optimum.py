@@ -92,7 +92,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     if stored.result["outcome"] == Outcome.BUDGET and (budget := larger_budget(stored)):
         ways.append(f"a larger budget: {budget}")
     if stored.result["outcome"] == Outcome.BRACKETS:
-        ways.append(f"more brackets: optimizer.brackets={10 * settings['brackets']}")
+        ways.append(f"more brackets: optimizer.max_brackets={10 * settings['max_brackets']}")
     if "screen" in settings and "starts" in settings:
         screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
         ways.append(f"more starts: optimizer.screen={screen} optimizer.starts={starts}")

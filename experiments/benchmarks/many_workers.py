@@ -39,8 +39,8 @@ METHODS: dict[str, Optimizer] = {
 }
 SMALL: dict[str, Optimizer] = {
     "MIHO": MIHO(R=27, eta=3),
-    "MIHO-GN": MIHOGN(brackets=3),
-    "MIHO-GN, asynchronous": AsynchronousMIHOGN(brackets=3),
+    "MIHO-GN": MIHOGN(max_brackets=3),
+    "MIHO-GN, asynchronous": AsynchronousMIHOGN(max_brackets=3),
 }
 """Searches that sleeping workers finish within half a minute."""
 SIZES = (1, 3, 10, 32, 100, 316, 1000, 3162, 10_000)

@@ -122,7 +122,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         polishes = any(bracket.state.phase == POLISH for bracket in state.brackets)
         while (
             sum(r.evaluations for r in under_way if r is not None) < oracle.workers
-            and search.bracket < self.brackets
+            and search.bracket < self.max_brackets
             and not polishes
         ):
             begun = replace(search, place=np.full(5, CLOSED), turn=0)

@@ -29,14 +29,23 @@ more."""
 def check_brackets(method: Any) -> None:
     """Raise ValueError if a setting that all methods with brackets share is not possible."""
     whole("eta", method.eta, 2)
-    whole_settings(method, ("least", "most", "steps", "lead", "brackets"), 1)
+    whole_settings(
+        method,
+        ("min_candidates", "max_candidates", "steps_per_rung", "leader_steps", "max_brackets"),
+        1,
+    )
     positive_settings(
         method,
-        ("rows", "jump", "enough", "base", "largest", "tolerance", "level_tolerance", "patience",
-         "progress"),
+        (
+            "rows_per_parameter", "full_data_share", "max_rows_per_parameter", "base_cost",
+            "max_cost", "tolerance", "level_tolerance", "patience", "min_progress",
+        ),
     )  # fmt: skip
-    if method.most < method.least:
-        raise ValueError(f"most is {method.most}; expected at least {method.least}, which is least")
+    if method.max_candidates < method.min_candidates:
+        raise ValueError(
+            f"max_candidates is {method.max_candidates}; expected at least min_candidates, "
+            f"{method.min_candidates}"
+        )
 
 
 def luby(k: int) -> int:

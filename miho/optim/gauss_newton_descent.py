@@ -29,7 +29,7 @@ def descended(rows: Rows, space: Space, start: Array) -> Array:
     method, box, d, N = MIHOGNSettings(), box_of(space, ()), len(space), rows.y.size
     levels, place = np.array([N]), np.array([SCREEN, 0, 1, 1, 0])
     x = (space.encode(space.clip(start)) - box.origin) / box.width
-    c = GNCandidates.at(np.clip(x, 0.0, 1.0)[None], 1, method.damping, method.fading, False)
+    c = GNCandidates.at(np.clip(x, 0.0, 1.0)[None], 1, method.damping, method.scale_decay, False)
     settings = method.block_settings(0.0, d, compiled=True)
     make_room(c, place, levels, settings)
     begin(c, place, POLISH, 1)

@@ -59,31 +59,31 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     ----------
     eta : int, optional
         One candidate in `eta` continues on the next rung (η), with `eta` times as many rows.
-    rows : float, optional
+    rows_per_parameter : float, optional
         Rows of the first level, for each parameter.
-    jump : float, optional
+    full_data_share : float, optional
         A level with more than this share of all rows uses all rows.
-    enough : float, optional
+    max_rows_per_parameter : float, optional
         A level after more than this number of rows for each parameter uses all rows.
-    base, largest : float, optional
-        Cost of a rung in units of d + 1 evaluations: `base` times Luby's sequence, at most
-        `largest`.
-    least, most : int, optional
+    base_cost, max_cost : float, optional
+        Cost of a rung in units of d + 1 evaluations: `base_cost` times Luby's sequence, at most
+        `max_cost`.
+    min_candidates, max_candidates : int, optional
         Smallest and largest number of starting points of a bracket.
-    steps : int, optional
+    steps_per_rung : int, optional
         Steps of each candidate on a rung.
-    lead : int, optional
+    leader_steps : int, optional
         Steps of the best candidate on a rung, at most.
     damping : float, optional
         Initial damping (Nielsen's μ), relative to the scale of each parameter.
-    fading : float, optional
+    scale_decay : float, optional
         Smallest factor by which a scale decreases from step to step, in every second bracket. In
         the other brackets scales never decrease, which large residuals need.
-    reach : float, optional
+    max_step : float, optional
         Longest step along a coordinate, as a share of the width of the bounds.
-    secants : int, optional
+    max_secants : int, optional
         Largest number of consecutive Broyden updates between evaluations of the derivatives.
-    projecting : int, optional
+    projection_period : int, optional
         One bracket in this number solves for the linear parameters at every evaluation (variable
         projection); 0 for none.
     draws : {"turns", "thirds", "own", "scale", "uniform"}, optional
@@ -93,22 +93,22 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         this.
     level_tolerance : float, optional
         The same on m rows, fewer than all, in units of d / m, which noise hides.
-    digits : float, optional
+    final_tolerance : float, optional
         The same for the final descent from the best optimum.
-    patience, progress : float, optional
-        A descent is set aside if its loss decreases by less than the share `progress` in
+    patience, min_progress : float, optional
+        A descent is set aside if its loss decreases by less than the share `min_progress` in
         `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
-    doubtful : int, optional
+    doubtful_brackets : int, optional
         Agreeing brackets that a doubtful optimum needs, which must be three quarters of the
         brackets with a known loss. Half as many are enough if only the residuals have structure;
         twice as many are needed if the optimum may be a plateau.
-    longer : float, optional
+    doubtful_cost : float, optional
         The search for a doubtful optimum takes at least this multiple of the evaluations that
         found it.
     challenges : int, optional
         Brackets that start near the best optimum, at some of its coordinates, and must fail to find
         a better one before the search ends.
-    brackets : int, optional
+    max_brackets : int, optional
         Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
 
     Raises
@@ -174,7 +174,12 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             first = max(math.ceil(N / SOLVED_FIRST), d + 1)
             return (first, N) if first < N else (N,)
         return rows_by_level(
-            N, d, per_parameter=self.rows, eta=self.eta, jump=self.jump, enough=self.enough
+            N,
+            d,
+            per_parameter=self.rows_per_parameter,
+            eta=self.eta,
+            jump=self.full_data_share,
+            enough=self.max_rows_per_parameter,
         )
 
     def done(self, state: MIHOGNState) -> bool:
@@ -227,11 +232,11 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         projects = state.linear or self._projects(state)
         look_cost = int(state.level_rows[0]) / int(state.level_rows[-1])
         look_cost *= 1 + projects * state.box.linear.size
-        budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
+        budget = (state.d + 1) * min(self.base_cost * luby(state.bracket), self.max_cost)
         state.settings = state.settings._replace(projects=projects, rung_budget=float(budget))
         state.spent_before = oracle.evaluations
         # Its starts, to be evaluated on the first level.
-        n = min(max(round(budget / look_cost), self.least), self.most)
+        n = min(max(round(budget / look_cost), self.min_candidates), self.max_candidates)
         n = 1 if state.linear else n
         starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
         if state.challenging:
@@ -239,16 +244,18 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             starts = around(state.box.origin + state.box.width * best, starts, state.rng)
         oracle.record_screened(n * (not state.linear))
         x = (starts - state.box.origin) / state.box.width
-        fading = self.fading if state.bracket % 2 else 1.0
+        fading = self.scale_decay if state.bracket % 2 else 1.0
         levels = state.level_rows.size
         state.admit(GNCandidates.at(x, levels, self.damping, fading, projects), 0)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
-        """Whether this bracket projects: one in `projecting`, and the first if that halves d."""
+        """Whether this bracket projects: one in a period, and the first if that halves d."""
         linear = state.box.linear.size
         halves = state.bracket == 1 and 2 * linear >= state.d
-        return bool(linear and self.projecting) and (halves or state.bracket % self.projecting == 0)
+        return bool(linear and self.projection_period) and (
+            halves or state.bracket % self.projection_period == 0
+        )
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Revive the best candidate that stalled in an earlier bracket, if there is one.
@@ -340,7 +347,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         enough = agreed and state.passed >= self.challenges and self._tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
         state.challenged = agreed and not enough
-        if enough or state.bracket >= self.brackets:
+        if enough or state.bracket >= self.max_brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
 
@@ -360,10 +367,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if agreement.agreeing < MOST * (agreement.finished - oracle.meter.starts.dropped):
             return False
         if determined and known.loss[best] <= oracle.noise:
-            return 2 * agreement.agreeing >= self.doubtful
+            return 2 * agreement.agreeing >= self.doubtful_brackets
         plateau = not (determined or noise or at_bound(known.x[best]))
-        enough = agreement.agreeing >= self.doubtful * (1 + plateau)
-        return enough and oracle.evaluations >= self.longer * state.best_found_after
+        enough = agreement.agreeing >= self.doubtful_brackets * (1 + plateau)
+        return enough and oracle.evaluations >= self.doubtful_cost * state.best_found_after
 
     def _leaves_noise(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the best minimum's loss is at most noise, and its residuals look like noise.
@@ -420,7 +427,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         best = state.space.encode(oracle.trace.theta[-1][None])
         x = np.clip((best - state.box.origin) / state.box.width, 0.0, 1.0)
         levels = state.level_rows.size
-        state.admit(GNCandidates.at(x, levels, ENTERING, self.fading, False), levels - 1)
+        state.admit(GNCandidates.at(x, levels, ENTERING, self.scale_decay, False), levels - 1)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
         begin(state.candidates, state.place, POLISH, 1)
 

@@ -18,48 +18,51 @@ class MIHOGNSettings:
     """Settings of `MIHOGN` and `AsynchronousMIHOGN`; see `MIHOGN`."""
 
     eta: int = 3
-    rows: float = 4.0
-    jump: float = 0.5
-    enough: float = 200.0
-    base: float = 0.5
-    largest: float = 32.0
-    least: int = 3
-    most: int = 243
-    steps: int = 3
-    lead: int = 20
+    rows_per_parameter: float = 4.0
+    full_data_share: float = 0.5
+    max_rows_per_parameter: float = 200.0
+    base_cost: float = 0.5
+    max_cost: float = 32.0
+    min_candidates: int = 3
+    max_candidates: int = 243
+    steps_per_rung: int = 3
+    leader_steps: int = 20
     damping: float = 0.1
-    fading: float = 0.3
-    reach: float = 0.25
-    secants: int = 4
-    projecting: int = 2
+    scale_decay: float = 0.3
+    max_step: float = 0.25
+    max_secants: int = 4
+    projection_period: int = 2
     draws: str = "turns"
     tolerance: float = 1e-8
     level_tolerance: float = 0.1
-    digits: float = 1e-16
+    final_tolerance: float = 1e-16
     patience: float = 4.0
-    progress: float = 0.05
-    doubtful: int = 20
-    longer: float = 10.0
+    min_progress: float = 0.05
+    doubtful_brackets: int = 20
+    doubtful_cost: float = 10.0
     challenges: int = 3
-    brackets: int = 200
+    max_brackets: int = 200
 
     def __post_init__(self) -> None:
         check_brackets(self)
-        whole("doubtful", self.doubtful, 1)
-        whole_settings(self, ("secants", "projecting"), 0)
+        whole("doubtful_brackets", self.doubtful_brackets, 1)
+        whole_settings(self, ("max_secants", "projection_period"), 0)
         whole("challenges", self.challenges, 1)
         one_of("draws", self.draws, DRAWS)
-        positive_settings(self, ("damping", "fading", "reach", "digits", "longer"))
-        if self.fading > 1:
-            raise ValueError(f"fading is {self.fading:g}; expected at most 1")
+        positive_settings(
+            self, ("damping", "scale_decay", "max_step", "final_tolerance", "doubtful_cost")
+        )
+        if self.scale_decay > 1:
+            raise ValueError(f"scale_decay is {self.scale_decay:g}; expected at most 1")
 
     def block_settings(
         self, rounding: float, slope_cost: int, compiled: bool, solved: bool = False
     ) -> GNSettings:
         """Settings of the machine before the first bracket."""
         return GNSettings(
-            self.eta, self.steps, self.lead, float(self.reach), self.secants, float(self.tolerance),
-            float(self.level_tolerance), float(self.digits), float(self.patience),
-            float(self.progress), rounding, slope_cost, compiled, projects=False, solved=solved,
+            self.eta, self.steps_per_rung, self.leader_steps, float(self.max_step),
+            self.max_secants, float(self.tolerance), float(self.level_tolerance),
+            float(self.final_tolerance), float(self.patience),
+            float(self.min_progress), rounding, slope_cost, compiled, projects=False, solved=solved,
             rung_budget=0.0, allowance=0, room=ROOM,
         )  # fmt: skip

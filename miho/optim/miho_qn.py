@@ -60,40 +60,40 @@ class MIHOQN(AskTell[MIHOQNState]):
     ----------
     eta : int, optional
         One candidate in `eta` continues on the next rung (η), with `eta` times as many rows.
-    rows : float, optional
+    rows_per_parameter : float, optional
         Rows of the first level, for each parameter.
-    jump : float, optional
+    full_data_share : float, optional
         A level with more than this share of all rows uses all rows, as do all levels of a problem
         with an unknown number of rows.
-    enough : float, optional
+    max_rows_per_parameter : float, optional
         A level after more than this number of rows for each parameter uses all rows.
-    base, largest : float, optional
-        Cost of a rung in units of d + 1 evaluations: `base` times Luby's sequence, at most
-        `largest`.
-    least, most : int, optional
+    base_cost, max_cost : float, optional
+        Cost of a rung in units of d + 1 evaluations: `base_cost` times Luby's sequence, at most
+        `max_cost`.
+    min_candidates, max_candidates : int, optional
         Smallest and largest number of starting points of a bracket.
-    steps : int, optional
+    steps_per_rung : int, optional
         Steps of each candidate on a rung.
-    lead : int, optional
+    leader_steps : int, optional
         Steps of the best candidate on a rung, at most.
-    radius : float, optional
+    max_step : float, optional
         Longest step along a coordinate, as a share of the width of the bounds.
     tolerance : float, optional
         A descent has converged if its model predicts a relative decrease of the loss below this.
     level_tolerance : float, optional
         The same on m rows, fewer than all, in units of d / m, which noise hides.
-    guesses : int, optional
+    max_predicted_steps : int, optional
         Largest number of consecutive steps with predicted instead of measured slopes.
-    refresh : float, optional
+    hessian_interval : float, optional
         A Hessian is measured again if a step was not as predicted, after this multiple of its cost.
-    patience, progress : float, optional
-        A descent is set aside if its loss decreases by less than the share `progress` in
+    patience, min_progress : float, optional
+        A descent is set aside if its loss decreases by less than the share `min_progress` in
         `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
-    edge : float, optional
+    simplex_edge : float, optional
         Edges of a simplex, as a share of the widths.
-    polish : int, optional
+    simplex_budget : int, optional
         Evaluations of a simplex for each parameter, at most.
-    brackets : int, optional
+    max_brackets : int, optional
         Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
 
     Raises
@@ -114,30 +114,30 @@ class MIHOQN(AskTell[MIHOQNState]):
     """
 
     eta: int = 3
-    rows: float = 4.0
-    jump: float = 0.5
-    enough: float = 200.0
-    base: float = 0.5
-    largest: float = 32.0
-    least: int = 3
-    most: int = 243
-    steps: int = 3
-    lead: int = 60
-    radius: float = 0.5
+    rows_per_parameter: float = 4.0
+    full_data_share: float = 0.5
+    max_rows_per_parameter: float = 200.0
+    base_cost: float = 0.5
+    max_cost: float = 32.0
+    min_candidates: int = 3
+    max_candidates: int = 243
+    steps_per_rung: int = 3
+    leader_steps: int = 60
+    max_step: float = 0.5
     tolerance: float = 1e-9
     level_tolerance: float = 0.1
-    guesses: int = 3
-    refresh: float = 1.0
+    max_predicted_steps: int = 3
+    hessian_interval: float = 1.0
     patience: float = 8.0
-    progress: float = 0.05
-    edge: float = 0.02
-    polish: int = 30
-    brackets: int = 200
+    min_progress: float = 0.05
+    simplex_edge: float = 0.02
+    simplex_budget: int = 30
+    max_brackets: int = 200
 
     def __post_init__(self) -> None:
         check_brackets(self)
-        whole_settings(self, ("guesses", "polish"), 0)
-        positive_settings(self, ("radius", "refresh", "edge"))
+        whole_settings(self, ("max_predicted_steps", "simplex_budget"), 0)
+        positive_settings(self, ("max_step", "hessian_interval", "simplex_edge"))
 
     def init(self, space: Space, rng: np.random.Generator) -> MIHOQNState:
         """State before the first batch, for a problem without cheaper approximations."""
@@ -152,10 +152,10 @@ class MIHOQN(AskTell[MIHOQNState]):
             level_rows = rows_by_level(
                 N,
                 len(space),
-                per_parameter=self.rows,
+                per_parameter=self.rows_per_parameter,
                 eta=self.eta,
-                jump=self.jump,
-                enough=self.enough,
+                jump=self.full_data_share,
+                enough=self.max_rows_per_parameter,
             )
             level_costs = tuple(oracle.cost(m / N) for m in level_rows)
             if level_costs[0] >= 1.0:  # fewer rows cost the same
@@ -174,7 +174,7 @@ class MIHOQN(AskTell[MIHOQNState]):
     ) -> MIHOQNState:
         """State with the starts of the first bracket."""
         no_points = np.empty((0, len(space)))
-        candidates, box = QNCandidates.at(no_points, self.radius), QNBox.of(space)
+        candidates, box = QNCandidates.at(no_points, self.max_step), QNBox.of(space)
         state = MIHOQNState(
             space, box, rng, level_rows, level_costs, candidates, minima=no_points, starts=starts
         )
@@ -215,9 +215,9 @@ class MIHOQN(AskTell[MIHOQNState]):
             last=state.last,
             screens=state.phase == SCREEN,
             measures=state.phase in (LEAD, FINISH, REVIVE),
-            refresh=self.refresh,
-            guesses=self.guesses,
-            radius=self.radius,
+            refresh=self.hessian_interval,
+            guesses=self.max_predicted_steps,
+            radius=self.max_step,
             rounding=state.starts.rounding,
         )
 
@@ -229,7 +229,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         if state.phase != LEAD and at_known(state, c)[0]:
             c.stage[0] = WAIT
         elif c.spent_since_mark[0] >= self.patience * (state.d + 1) * state.cost:
-            stalls = c.loss_at_mark[0] - c.loss[0] < self.progress * abs(c.loss_at_mark[0])
+            stalls = c.loss_at_mark[0] - c.loss[0] < self.min_progress * abs(c.loss_at_mark[0])
             if stalls and (
                 state.phase != REVIVE or state.spent - state.spent_before >= state.allowance
             ):
@@ -251,7 +251,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         while not state.finished:
             simplex = state.simplex
             if simplex is not None:
-                if simplex.done or simplex.evaluations >= self.polish * state.d:
+                if simplex.done or simplex.evaluations >= self.simplex_budget * state.d:
                     self._after_simplex(state, simplex)
                     continue
                 state.batch = state.box.at(simplex.batch)
@@ -265,12 +265,14 @@ class MIHOQN(AskTell[MIHOQNState]):
     def _draw(self, state: MIHOQNState) -> None:
         """Begin a bracket: draw its starts, to be evaluated on the first level."""
         state.bracket += 1
-        state.rung_budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
+        state.rung_budget = (state.d + 1) * min(self.base_cost * luby(state.bracket), self.max_cost)
         state.level, state.spent_before, state.phase = 0, state.spent, SCREEN
-        n = min(max(round(state.rung_budget / state.cost), self.least), self.most)
+        n = min(
+            max(round(state.rung_budget / state.cost), self.min_candidates), self.max_candidates
+        )
         z = draw_starts(state.space, n, state.rng, state.bracket)
         state.starts.screened += n
-        state.candidates = QNCandidates.at(z, self.radius)
+        state.candidates = QNCandidates.at(z, self.max_step)
 
     def _after_screen(self, state: MIHOQNState) -> None:
         """Keep the best starts."""
@@ -283,12 +285,12 @@ class MIHOQN(AskTell[MIHOQNState]):
         if not size:
             self._close(state)
             return
-        affordable = max(state.rung_budget / (self.steps * (state.d + 2) * state.cost), 1)
+        affordable = max(state.rung_budget / (self.steps_per_rung * (state.d + 2) * state.cost), 1)
         n = int(min(affordable, max(1, size / self.eta)))
         state.candidates = state.candidates.first(n)
         alone = state.last and len(state.candidates) == 1
         state.phase = FINISH if alone else RUNG
-        state.candidates.go_on(UNLIMITED if alone else self.steps)
+        state.candidates.go_on(UNLIMITED if alone else self.steps_per_rung)
 
     def _after_rung(self, state: MIHOQNState) -> None:
         """Give the best candidate more steps, and measure its Hessian if it never was."""
@@ -299,7 +301,7 @@ class MIHOQN(AskTell[MIHOQNState]):
             self._rung(state)
             return
         state.phase = LEAD
-        c.go_on(self.lead, slice(1))
+        c.go_on(self.leader_steps, slice(1))
         if c.stage[0] in (SLOPE, DONE) and math.isinf(c.hessian_age[0]):
             c.stage[0] = HESSIAN
 
@@ -362,7 +364,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         known = (np.abs(state.minima_losses - c.loss[0]) <= NEAR_LAST * size).any()
         if (stage == STUCK or (stage == DONE and sharp)) and not (known or state.polished):
             centre = state.box.shares(c.z[0])
-            state.simplex = Simplex.around(centre, float(c.loss[0]), self.edge)
+            state.simplex = Simplex.around(centre, float(c.loss[0]), self.simplex_edge)
             return False
         state.polished = False
         if stage in (DONE, STUCK):
@@ -386,7 +388,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         state.polished = gain <= LITTLE * abs(loss)
         if not state.polished:
             c.stage[0], c.failures[0], c.radius[0] = WAIT, 0, max(c.radius[0], REENTRY)
-            if gain >= self.progress * abs(loss):
+            if gain >= self.min_progress * abs(loss):
                 c.go_on(UNLIMITED)
 
     def _record_return(self, state: MIHOQNState) -> None:
@@ -401,5 +403,5 @@ class MIHOQN(AskTell[MIHOQNState]):
         """Close the bracket, and end the search if the ends of brackets are evidence enough."""
         state.phase = CLOSED
         enough = state.starts.agreement(state.best).enough
-        state.finished = enough or state.bracket >= self.brackets
+        state.finished = enough or state.bracket >= self.max_brackets
         state.starts.exhausted = state.finished and not enough

@@ -146,8 +146,8 @@ def test_derivatives_whose_squares_are_no_normal_numbers(size: float) -> None:
 
     problem = CurveFit(FunctionModel(decay, columns=("t",)), data, fit().space)
     assert problem.kernel is not None and problem.kernel.rows is not None
-    assert_python_takes_the_same_steps(problem, MIHOGN(projecting=0))
-    assert not searched(problem, MIHOGN(projecting=0), 0, 300)[1].meter.rejected
+    assert_python_takes_the_same_steps(problem, MIHOGN(projection_period=0))
+    assert not searched(problem, MIHOGN(projection_period=0), 0, 300)[1].meter.rejected
 
 
 def at_level(problem: CurveFit, level: int) -> CurveFit:
@@ -174,7 +174,7 @@ def test_with_numpys_own_sums_last_bits_differ_alone(linear: tuple[str, ...]) ->
 
     A sum of 600 terms is rounded by some 1e-15 of itself; a thousand times that is to spare.
     """
-    method = MIHOGN(brackets=4, digits=1e-8)
+    method = MIHOGN(max_brackets=4, final_tolerance=1e-8)
     for seed in range(4):
         state, oracle = searched(fit(linear=linear), method, seed, 500)
         with python_steps(sums=False):
@@ -186,9 +186,14 @@ def test_with_numpys_own_sums_last_bits_differ_alone(linear: tuple[str, ...]) ->
 
 
 METHODS = [
-    MIHOGN(), MIHOGN(secants=0), MIHOGN(projecting=0), MIHOGN(projecting=1), MIHOGN(fading=1.0),
-    MIHOGN(patience=0.5), MIHOGN(eta=2, steps=1, lead=2, reach=0.1, damping=1.0),
-]  # fmt: skip
+    MIHOGN(),
+    MIHOGN(max_secants=0),
+    MIHOGN(projection_period=0),
+    MIHOGN(projection_period=1),
+    MIHOGN(scale_decay=1.0),
+    MIHOGN(patience=0.5),
+    MIHOGN(eta=2, steps_per_rung=1, leader_steps=2, max_step=0.1, damping=1.0),
+]
 
 
 @pytest.mark.parametrize("method", METHODS, ids=range(len(METHODS)))
@@ -213,7 +218,7 @@ def test_bounds_and_values_that_cannot_be_used(name: str, linear: tuple[str, ...
     space = Space(
         (Parameter("a", "V", *a), Parameter("b", "1/s", *b, scale="log"), Parameter("c", "V", *c))
     )
-    for method in (MIHOGN(brackets=6), MIHOGN(brackets=6, projecting=1)):
+    for method in (MIHOGN(max_brackets=6), MIHOGN(max_brackets=6, projection_period=1)):
         assert_python_takes_the_same_steps(fit(300, space, linear=linear), method)
 
 
@@ -251,7 +256,7 @@ def test_parameters_that_the_data_do_not_determine() -> None:
     space = Space(tuple(Parameter(name, "-", 0.1, 10.0) for name in "abk"))
     data = Dataset("undetermined", {"t": t, "y": y}, {"t": "-", "y": "-"}, "y")
     problem = CurveFit(FunctionModel(undetermined), data, space, compiled=True)
-    for method in (MIHOGN(), MIHOGN(projecting=1)):
+    for method in (MIHOGN(), MIHOGN(projection_period=1)):
         assert_python_takes_the_same_steps(problem, method, evaluations=150)
 
 
@@ -265,14 +270,14 @@ def test_steps_that_end_at_values_that_are_none() -> None:
     data = Dataset("root", {"t": t, "y": np.sqrt(np.abs(2.5 - t))}, {"t": "-", "y": "-"}, "y")
     space = Space((Parameter("a", "-", 0.1, 10.0), Parameter("b", "-", 0.1, 10.0)))
     problem = CurveFit(FunctionModel(root), data, space, compiled=True)
-    patient = MIHOGN(patience=1e9, tolerance=1e-300, digits=1e-300)
+    patient = MIHOGN(patience=1e9, tolerance=1e-300, final_tolerance=1e-300)
     assert_python_takes_the_same_steps(problem, patient, seeds=1, evaluations=600)
 
 
 @pytest.mark.parametrize("evaluations", range(1, 41))
 def test_a_search_cut_anywhere_goes_on_as_if_it_had_not_been(evaluations: int) -> None:
     """Also where its state was pickled, and where the other one of the two goes on."""
-    method, problem = MIHOGN(brackets=5), fit(1000)
+    method, problem = MIHOGN(max_brackets=5), fit(1000)
     whole = searched(problem, method, 1, 400)
     state, cut = searched(problem, method, 1, evaluations)
     with python_steps():

@@ -10,14 +10,17 @@ from omegaconf import OmegaConf
 
 import miho.methods
 from experiments.app.build import ConfigError
+from experiments.app.compose import composed
 from experiments.app.instantiation import instantiate
 from experiments.app.safety import HOMES, TargetError, allowed, find_target, nested_target
+from experiments.app.schema import register
 from miho.data import Dataset
 from miho.models import Model
 from miho.moved import MOVED, with_present_names
 from miho.optim import Optimizer
 from miho.vehicle.models import Pacejka
 
+register()
 CONF = Path(__file__).parents[2] / "conf"
 
 
@@ -93,6 +96,16 @@ def test_a_stored_configuration_is_read_with_present_names() -> None:
     assert read["optimizer"] == {"_target_": "miho.methods.PSO", "particles": 20}
     assert read["problem"]["name"] == "baselines.pso.PSO", "no target"
     assert read["problem"]["parts"] == [{"_target_": "miho.vehicle.models.Pacejka"}]
+    former = {"_target_": "miho.optim.MIHOGN", "least": 3, "eta": 3}
+    present = {"_target_": "miho.optim.MIHOGN", "min_candidates": 3, "eta": 3}
+    assert with_present_names(former) == present
+
+
+def test_a_former_setting_is_answered_with_the_present_one() -> None:
+    with pytest.raises(ConfigError, match=r"optimizer\.least: is now optimizer\.min_candidates"):
+        composed(["optimizer=miho_gn", "optimizer.least=5"])
+    with pytest.raises(ConfigError, match=r"optimizer\.least: is unknown"):
+        composed(["optimizer=pso_100", "optimizer.least=5"])
 
 
 def test_the_list_is_read_without_importing_a_method() -> None:

@@ -69,7 +69,7 @@ def test_tasks_end_in_the_order_of_their_ends() -> None:
     ]
 
 
-@pytest.mark.parametrize("method", [MIHO(R=9, eta=3), MIHOGN(brackets=2)])
+@pytest.mark.parametrize("method", [MIHO(R=9, eta=3), MIHOGN(max_brackets=2)])
 @pytest.mark.parametrize("workers", [1, 7])
 def test_decisions_are_those_of_the_method_alone(method: MIHO | MIHOGN, workers: int) -> None:
     alone = minimize(method, Decay(), seed=3)

@@ -132,10 +132,10 @@ def test_a_robust_loss_is_judged_by_the_same_loss() -> None:
 
 def test_a_search_that_ended_at_its_last_bracket_claims_nothing() -> None:
     """Two brackets are not enough for any evidence."""
-    fit = miho.fit(wave, T, Y, BOUNDS, method=miho.MIHOGN(brackets=2))
+    fit = miho.fit(wave, T, Y, BOUNDS, method=miho.MIHOGN(max_brackets=2))
     assert fit.descents is not None
     assert not fit.descents.settled
-    run = miho.minimize(miho.MIHOGN(brackets=2), fit.problem)
+    run = miho.minimize(miho.MIHOGN(max_brackets=2), fit.problem)
     assert run.outcome is Outcome.BRACKETS
     for text in (fit.optimum, str(fit), str(fit.report())):
         assert "in doubt" in text.lower()

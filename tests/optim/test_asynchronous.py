@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 LIMIT = 600.0
 """Seconds for an evaluation: with a limit workers make all of them, however short they are."""
-BRACKETS = AsynchronousMIHOGN(brackets=12)
+BRACKETS = AsynchronousMIHOGN(max_brackets=12)
 AT_A_TIME = 6
 
 
@@ -131,7 +131,7 @@ def test_rounds_of_candidates_are_the_same_with_any_workers(
         begun.append((kind, len(thetas)))
         return ahead(oracle, thetas, fidelity, kind)
 
-    problem, method = Outside(fit(linear=linear), says_rows), MIHOGN(brackets=3, base=8.0)
+    problem, method = Outside(fit(linear=linear), says_rows), MIHOGN(max_brackets=3, base_cost=8.0)
     alone = minimize(method, problem, seed=1)
     monkeypatch.setattr(Oracle, "ahead", count)
     spread = minimize(method, problem, seed=1, workers=workers, evaluation_limit=LIMIT)
@@ -195,7 +195,9 @@ def test_brackets_at_a_time_are_resumed_wherever_they_were_cut(says_rows: bool) 
     problem = Outside(fit(), says_rows)
     whole = minimize(BRACKETS, problem, seed=2)
     assert whole.outcome in (Outcome.CONVERGED, Outcome.BRACKETS), whole.error
-    assert not same(whole, minimize(MIHOGN(brackets=12), problem, seed=2)), "or this tests nothing"
+    assert not same(whole, minimize(MIHOGN(max_brackets=12), problem, seed=2)), (
+        "or this tests nothing"
+    )
     cut, evaluations = None, 0
     while cut is None or cut.outcome in (Outcome.BUDGET, Outcome.NO_FINITE_VALUE):
         evaluations += 4
@@ -254,9 +256,9 @@ def test_a_challenge_of_an_optimum_is_none_of_a_better_one() -> None:
 
 def test_one_worker_has_one_bracket_at_a_time() -> None:
     for problem in (fit(), Outside(fit())):
-        oracle, method = Oracle(problem, Budget()), AsynchronousMIHOGN(brackets=3)
+        oracle, method = Oracle(problem, Budget()), AsynchronousMIHOGN(max_brackets=3)
         method.run(oracle, np.random.default_rng(4))
         reference = Oracle(problem, Budget())
-        MIHOGN(brackets=3).run(reference, np.random.default_rng(4))
+        MIHOGN(max_brackets=3).run(reference, np.random.default_rng(4))
         assert oracle.evaluations == reference.evaluations
         assert oracle.trace.loss == reference.trace.loss

@@ -57,8 +57,10 @@ def test_compiled_steps_are_those_from_outside(linear: tuple[str, ...]) -> None:
     """To rounding, as long as rounding decides nothing: the first brackets of a run."""
     problem = fit(linear=linear)
     for seed in range(4):
-        short = MIHOGN(brackets=4, digits=1e-8)  # the last digits are those of rounding
-        for method in (short, replace(short, secants=0, projecting=1)):
+        short = MIHOGN(
+            max_brackets=4, final_tolerance=1e-8
+        )  # the last digits are those of rounding
+        for method in (short, replace(short, max_secants=0, projection_period=1)):
             compiled = finished(problem, method, seed)
             outside = finished(Outside(problem), method, seed)
             same_steps(compiled.trace, outside.trace)
@@ -107,7 +109,7 @@ def test_steps_stay_in_the_box() -> None:
         )
     )
     problem = Outside(fit(space=space))
-    record = minimize(MIHOGN(brackets=10), problem)
+    record = minimize(MIHOGN(max_brackets=10), problem)
     thetas = np.array([theta for theta, _ in problem.requests])
     assert space.contains(thetas).all()
     assert record.theta is not None
@@ -128,7 +130,7 @@ def test_the_optimum_is_scipys_with_and_without_secants_and_projection() -> None
         return float(residuals @ residuals) / t.size
 
     least = minimize_scalar(projected, (0.5, 0.7, 1.0), tol=1e-10).fun
-    for settings in ({}, {"secants": 0}, {"projecting": 0}, {"projecting": 1}):
+    for settings in ({}, {"max_secants": 0}, {"projection_period": 0}, {"projection_period": 1}):
         record = minimize(MIHOGN(**settings), problem)
         assert record.outcome is Outcome.CONVERGED
         assert -1e-13 < record.loss / least - 1 < 1e-8, settings
@@ -237,7 +239,7 @@ class Stopping(Outside):
 @pytest.mark.parametrize("last", range(1, 60))
 def test_a_run_interrupted_in_an_evaluation_goes_on_behind_it(last: int) -> None:
     """What was evaluated is not evaluated again: the run is the one never interrupted."""
-    method = MIHOGN(brackets=4)
+    method = MIHOGN(max_brackets=4)
     whole = Oracle(Stopping(0), Budget())
     method.run(whole, np.random.default_rng(1))
 

@@ -54,7 +54,11 @@ def same(record: RunRecord, reference: RunRecord) -> bool:
 
 @pytest.mark.parametrize(
     "method",
-    [MIHOGN(secants=0), MIHOGN(projecting=1), MIHOGN(projecting=0, draws="uniform", eta=2)],
+    [
+        MIHOGN(max_secants=0),
+        MIHOGN(projection_period=1),
+        MIHOGN(projection_period=0, draws="uniform", eta=2),
+    ],
     ids=["derivatives", "projections", "uniform"],
 )
 def test_other_settings_conform(method: MIHOGN) -> None:
@@ -164,7 +168,7 @@ def test_an_optimum_at_a_bound_is_come_back_to_more_often() -> None:
     inside = minimize(MIHOGN(), fit())
     bounded = replace(SPACE.parameters[2], low=0.6)
     space = Space((*SPACE.parameters[:2], bounded))
-    record = minimize(MIHOGN(doubtful=20), fit(space=space))
+    record = minimize(MIHOGN(doubtful_brackets=20), fit(space=space))
     assert record.outcome is Outcome.CONVERGED
     assert record.theta is not None
     assert record.theta[2] == 0.6
@@ -247,7 +251,7 @@ WAVE = sampled(Wave(), [1.0, 11.0, 0.3], [(-5, 5), (0, 40), (-5, 5)], 400, 1.5)
 
 def test_an_end_is_a_loss_over_all_rows_or_is_not_known() -> None:
     problem = Outside(WAVE)
-    record = minimize(MIHOGN(brackets=40), problem, seed=1)
+    record = minimize(MIHOGN(max_brackets=40), problem, seed=1)
     descents = record.descents
     assert descents is not None
     assert descents.dropped > 0, "or this tests nothing"
@@ -260,11 +264,11 @@ def test_an_end_is_a_loss_over_all_rows_or_is_not_known() -> None:
 
 
 def test_a_search_that_runs_out_of_brackets_says_so() -> None:
-    record = minimize(MIHOGN(brackets=20), WAVE)
+    record = minimize(MIHOGN(max_brackets=20), WAVE)
     assert record.outcome is Outcome.BRACKETS
     assert record.descents is not None
     assert record.descents.finished <= 20
-    assert minimize(MIHOGN(brackets=20), fit()).outcome is Outcome.CONVERGED
+    assert minimize(MIHOGN(max_brackets=20), fit()).outcome is Outcome.CONVERGED
 
 
 def test_a_problem_that_is_linear_is_solved_and_not_searched() -> None:
@@ -297,7 +301,7 @@ def test_a_loss_above_the_noise_is_doubted() -> None:
 
     problem = Noisy(fit())
     problem.noise = 1e-6
-    record = minimize(MIHOGN(doubtful=15), problem)
+    record = minimize(MIHOGN(doubtful_brackets=15), problem)
     assert record.outcome is Outcome.CONVERGED
     assert record.descents is not None
     assert (record.descents.agreeing or 0) >= 15
@@ -311,7 +315,7 @@ def test_residuals_with_structure_are_doubted(known: bool) -> None:
     wave = CurveFit(fit().model, Dataset("d", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y"), SPACE)
     problem = Outside(wave)
     problem.noise, problem.row_inputs = math.inf, wave.inputs if known else ()
-    record = minimize(MIHOGN(doubtful=30), problem)
+    record = minimize(MIHOGN(doubtful_brackets=30), problem)
     assert record.outcome is Outcome.CONVERGED
     assert record.descents is not None
     assert ((record.descents.agreeing or 0) >= 15) is known
@@ -423,14 +427,17 @@ def test_what_knows_no_rows_is_asked_for_all_of_them() -> None:
     ("settings", "message"),
     [
         ({"eta": 1}, "eta is 1; expected a whole number of at least 2"),
-        ({"steps": 0}, "steps is 0; expected a whole number of at least 1"),
-        ({"secants": -1}, "secants is -1; expected a whole number of at least 0"),
-        ({"reach": 0.0}, "reach"),
-        ({"fading": 2.0}, "fading is 2; expected at most 1"),
+        ({"steps_per_rung": 0}, "steps_per_rung is 0; expected a whole number of at least 1"),
+        ({"max_secants": -1}, "max_secants is -1; expected a whole number of at least 0"),
+        ({"max_step": 0.0}, "max_step"),
+        ({"scale_decay": 2.0}, "scale_decay is 2; expected at most 1"),
         ({"tolerance": math.nan}, "tolerance"),
         ({"draws": "halves"}, "draws"),
-        ({"least": 9, "most": 3}, "most is 3; expected at least 9, which is least"),
-        ({"brackets": 1.5}, "brackets"),
+        (
+            {"min_candidates": 9, "max_candidates": 3},
+            "max_candidates is 3; expected at least min_candidates, 9",
+        ),
+        ({"max_brackets": 1.5}, "max_brackets"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused_in_a_line(
@@ -479,7 +486,7 @@ def test_an_ordered_model_is_asked_for_its_whole_record() -> None:
     )
     data = Dataset("play", {"u": u, "p": p}, {"u": "-", "p": model.output}, "p")
     problem = Outside(CurveFit(model, data, space))
-    record = minimize(MIHOGN(brackets=20), problem)
+    record = minimize(MIHOGN(max_brackets=20), problem)
     assert {rows for _, rows in problem.requests} == {u.size}
     assert record.loss <= problem.loss(truth[None])[0]
 

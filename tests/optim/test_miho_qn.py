@@ -169,7 +169,7 @@ def test_a_better_basin_is_found_and_relied_on() -> None:
 def test_brackets_bound_a_run_without_a_budget() -> None:
     """Every descent ends elsewhere in what looks like noise: evidence never is enough."""
     problem = Loss(lambda t: 2 + np.cos(1e6 * t).prod(axis=1), 2)
-    record = minimize(MIHOQN(brackets=7), problem)
+    record = minimize(MIHOQN(max_brackets=7), problem)
     assert record.outcome is Outcome.BRACKETS
     assert record.descents is not None
     assert record.descents.started <= 2 * 7
@@ -271,10 +271,10 @@ def test_half_a_box_that_has_no_loss_is_left() -> None:
     ("settings", "message"),
     [
         ({"eta": 1}, "eta"),
-        ({"rows": 0.0}, "rows"),
-        ({"steps": 0}, "steps"),
-        ({"radius": -1.0}, "radius"),
-        ({"least": 300}, "most is 243; expected at least 300"),
+        ({"rows_per_parameter": 0.0}, "rows_per_parameter"),
+        ({"steps_per_rung": 0}, "steps_per_rung"),
+        ({"max_step": -1.0}, "max_step"),
+        ({"min_candidates": 300}, "max_candidates is 243; expected at least min_candidates, 300"),
     ],
 )
 def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:

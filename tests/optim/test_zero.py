@@ -59,10 +59,10 @@ def test_a_system_that_is_solved_is_certain_and_the_search_stops(name: str, seed
 
 def test_without_the_rule_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = solved("powell_singular", 0).problem
-    run = minimize(MIHOGN(brackets=20), problem)
+    run = minimize(MIHOGN(max_brackets=20), problem)
     assert run.outcome is Outcome.CONVERGED
     monkeypatch.setattr(miho_gn, "is_zero", lambda *_: False)
-    longer = minimize(MIHOGN(brackets=20), problem)
+    longer = minimize(MIHOGN(max_brackets=20), problem)
     assert longer.evaluations > 1.5 * run.evaluations
 
 
