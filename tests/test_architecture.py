@@ -105,7 +105,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"baselines.problems", "miho.compiled", "miho.models", "miho.data"},
         {"numpy"},
     ),
-    "baselines.arena": ({"baselines.arena", "miho.analysis", "miho.study"}, NUMERICS | TABLES),
+    "baselines.arena": (
+        {"baselines.arena", "miho.analysis", "miho.figures", "miho.study"},
+        NUMERICS | TABLES,
+    ),
     "baselines": (
         {"baselines", "miho.compiled", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},
