@@ -230,7 +230,7 @@ def test_a_default_or_bound_argument_is_fixed_without_bounds(name: str) -> None:
     y = 1.5 * t + 0.8 + 0.3 * t**2 + noise
     fit = fitted(function, y, **{"box": {"a": (-9, 9), "b": (-9, 9)}, **settings})
     assert {key: fit.values[key] for key in held} == held
-    assert (fit.parameters.loc[list(held), "held"] == "fixed").all()
+    assert (fit.parameters.loc[list(held), "status"] == "fixed").all()
     free = fitted(function, y, dict.fromkeys("abc", (-9, 9)))
     assert free.values == pytest.approx({"a": 1.5, "b": 0.8, "c": 0.3}, abs=0.05)
 

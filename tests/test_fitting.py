@@ -141,9 +141,9 @@ def test_tied_and_fixed_parameters_are_as_substituted_ones() -> None:
     covariance = plain.uncertainty.covariance
     spread = np.sqrt(covariance[b, b] + covariance[gap, gap] + 2 * covariance[b, gap])
     assert table.loc["d", "standard_error"] == pytest.approx(spread, rel=1e-3)
-    assert list(table["held"]) == ["free", "free", "= 3 - a", "= b + gap", "free"]
+    assert list(table["status"]) == ["free", "free", "= 3 - a", "= b + gap", "free"]
     fixed = miho.fit(two, frame, "V", box, fixed={"c": 2.0}, tied={"d": "b + gap"}, compiled=False)
-    assert fixed.parameters.loc["c", ["value", "standard_error", "held"]].tolist() == [
+    assert fixed.parameters.loc["c", ["value", "standard_error", "status"]].tolist() == [
         2.0, 0.0, "fixed",
     ]  # fmt: skip
 
@@ -193,7 +193,7 @@ def test_what_takes_the_numbers_away_is_printed_below_the_table() -> None:
     ]  # fmt: skip
     for function, box, start, held, caveats in cases:
         fit = miho.fit(function, t, y, box, start=start or None, compiled=False)
-        assert list(fit.parameters["held"]) == held
+        assert list(fit.parameters["status"]) == held
         lines = [line for line in str(fit).splitlines() if line.startswith("- ")]
         assert len(lines) == len(caveats)
         assert all(line.startswith(f"- {c}") for line, c in zip(lines, caveats, strict=True))

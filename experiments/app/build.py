@@ -360,9 +360,9 @@ def build_space(node: Mapping[str, Any]) -> Space:
     for name, settings in plain.items():
         if settings.pop("scaled", None):
             raise ConfigError(f"space.{name}.scaled: needs data; give low and high")
-        held = settings.get("fixed") is not None or settings.get("tied") is not None
+        fixed = settings.get("fixed") is not None or settings.get("tied") is not None
         missing = [key for key, value in settings.items() if value == MISSING]
-        if held:
+        if fixed:
             settings.update({key: end for key, end in UNBOUNDED.items() if key in missing})
             missing = [key for key in missing if key not in UNBOUNDED]
         if missing:

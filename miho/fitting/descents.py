@@ -150,14 +150,14 @@ class Batch:
         A parameter that the data do not determine has an infinite variance.
         """
         low, high = self.space.low, self.space.high
-        held = (ends.thetas <= low) | (ends.thetas >= high)
-        freedom = self.rows - (~held).sum(axis=1)
-        covariance = np.full((*held.shape, held.shape[1]), np.nan)
+        fixed = (ends.thetas <= low) | (ends.thetas >= high)
+        freedom = self.rows - (~fixed).sum(axis=1)
+        covariance = np.full((*fixed.shape, fixed.shape[1]), np.nan)
         for chunk in self.chunks(np.flatnonzero(freedom > 0)):
             J = self.slopes(ends.thetas[chunk], chunk)
-            J = np.where(held[chunk][:, None, :], 0.0, J)
+            J = np.where(fixed[chunk][:, None, :], 0.0, J)
             finite = np.reshape(np.isfinite(J).all(axis=(1, 2)), (-1, 1))
-            unknown = held[chunk] | ~finite
+            unknown = fixed[chunk] | ~finite
             inverse, free = inverses(np.where(np.isfinite(J), J, 0.0))
             inverse *= (ends.squares[chunk] / freedom[chunk])[:, None, None]
             k, j = np.nonzero(free)
@@ -183,12 +183,12 @@ def inverses(J: Array) -> tuple[Array, NDArray[np.bool_]]:
     return root.transpose(0, 2, 1) @ root, 1 - (V**2).sum(axis=1) > INVOLVED**2
 
 
-def normal_matrix(J: Array, held: NDArray[np.bool_]) -> Array:
+def normal_matrix(J: Array, fixed: NDArray[np.bool_]) -> Array:
     """Normal matrix J.T J (n, d, d) of J (n, N, d), with unit rows for fixed parameters (n, d)."""
-    J = np.where(held[:, None, :], 0.0, J)
+    J = np.where(fixed[:, None, :], 0.0, J)
     A = J.transpose(0, 2, 1) @ J
     diagonal = np.arange(A.shape[1])
-    A[:, diagonal, diagonal] += held
+    A[:, diagonal, diagonal] += fixed
     return np.asarray(A)
 
 
@@ -231,10 +231,10 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
         r = batch.residuals(thetas, which[k])
         J = batch.slopes(thetas, which[k]) * np.where(log, thetas, 1.0)[:, None, :]
         gradient = np.einsum("ijk,ij->ik", J, r)
-        held = ((x[k] <= low) & (gradient > 0)) | ((x[k] >= high) & (gradient < 0))
-        A = normal_matrix(J, held)
+        fixed = ((x[k] <= low) & (gradient > 0)) | ((x[k] >= high) & (gradient < 0))
+        A = normal_matrix(J, fixed)
         usable = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
-        A[~usable], gradient[held] = np.eye(d), 0.0
+        A[~usable], gradient[fixed] = np.eye(d), 0.0
         scale = np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST))
         A /= scale[:, :, None] * scale[:, None, :]
         A[:, np.arange(d), np.arange(d)] += damping[k, None]

@@ -194,7 +194,7 @@ class Fit(Remade):
         -------
         DataFrame
             A row per parameter, with columns `value`, `standard_error`, `low`, `high`, `unit` and
-            `held`. Intervals are linearised at `level`. If the data cannot distinguish several
+            `status`. Intervals are linearised at `level`. If the data cannot distinguish several
             optima (`alternatives`), the intervals span all of them, and standard errors refer to
             this one. Standard errors are NaN if there are no more rows than parameters.
         """
@@ -219,7 +219,7 @@ class Fit(Remade):
         frame = tables[0]
         points = [table["value"].to_numpy() for table in tables]
         frame["low"], frame["high"] = hull(points, ends).T
-        return frame[["value", "standard_error", "low", "high", "unit", "held"]]
+        return frame[["value", "standard_error", "low", "high", "unit", "status"]]
 
     @property
     def values(self) -> dict[str, float]:

@@ -28,7 +28,7 @@ def bootstrap(
     replicates: int,
     rng: np.random.Generator,
     progress: Callable[[], object] = lambda: None,
-    held: Sequence[int] = (),
+    fixed: Sequence[int] = (),
     block: int = 1,
     pool: Pool | None = None,
     others: Sequence[Array] = (),
@@ -51,7 +51,7 @@ def bootstrap(
         Source of randomness.
     progress : callable
         Called after every replicate.
-    held : sequence of int
+    fixed : sequence of int
         Positions of parameters that do not change.
     block : int
         Number of rows with a common weight; 1 for independent rows.
@@ -87,7 +87,7 @@ def bootstrap(
 
     drawn = (weights() for _ in range(replicates))  # the order does not depend on workers
     estimates = np.empty((replicates, theta.size))
-    refitted = _Refitted(problem, (theta, *others), held)
+    refitted = _Refitted(problem, (theta, *others), fixed)
     for k, estimate in enumerate(in_blocks(pool, refitted, drawn)):
         if isinstance(estimate, WorkerLostError):
             raise ValueError(f"a bootstrap replicate was lost with its worker: {estimate}")
@@ -102,11 +102,11 @@ class _Refitted:
 
     problem: CurveFit
     starts: Sequence[Array]
-    held: Sequence[int]
+    fixed: Sequence[int]
 
     def __call__(self, weights: Array) -> Array:
         ends = [
-            refit(self.problem, start, weights, self.held, tolerance=1e-6) for start in self.starts
+            refit(self.problem, start, weights, self.fixed, tolerance=1e-6) for start in self.starts
         ]
         return min(ends, key=lambda end: end.cost).theta
 

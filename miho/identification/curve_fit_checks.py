@@ -265,12 +265,12 @@ def ties_of(model: Model, space: Space) -> Ties:
                 f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix; "
                 "write it into the expressions"
             )
-    held = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
+    fixed = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
     limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
     ties = Ties(
         tuple(model.parameters),
         {p.name: p.unit for p in space.free.parameters},
-        {key: value for key, value in held.items() if value is not None},
+        {key: value for key, value in fixed.items() if value is not None},
         {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
         {p.name: p.unit for p in space.parameters if p.tied and p.name not in model.parameters},
         space.radial,

@@ -65,9 +65,9 @@ def assumptions(design: Design) -> list[str]:
             "rows."
         )
     sentences += _undetermined(design)
-    held = [problem.space.names[i] for i in np.flatnonzero(at.at_bound)]
-    if held:
-        sentences.append(f"fixed at a bound, and left out here: {', '.join(held)}.")
+    fixed = [problem.space.names[i] for i in np.flatnonzero(at.at_bound)]
+    if fixed:
+        sentences.append(f"fixed at a bound, and left out here: {', '.join(fixed)}.")
     table = design.table
     vague = table[(table["present half width"] > LINEAR * table["value"].abs())]
     vague = vague[np.isfinite(vague["present half width"]) & (vague["quantity"] == design.goal)]

@@ -175,8 +175,8 @@ def at_optimum(J: Array, r: Array, part: Array) -> bool:
     `part` (f,) is 0 or 1 at a bound. A parameter stays there if a descent would leave the box.
     """
     slope = J.T @ r
-    held = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
-    columns = np.column_stack([J[:, ~held], r])
+    fixed = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
+    columns = np.column_stack([J[:, ~fixed], r])
     with np.errstate(all="ignore"):
         columns /= np.sqrt((columns**2).sum(axis=0))
         if columns.shape[1] > r.size or not np.isfinite(columns).all():

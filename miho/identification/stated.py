@@ -22,7 +22,7 @@ NEAR = 1e-6
 class Stated(NamedTuple):
     """One parameter with its value, unit, standard error, and the reason if it is not free.
 
-    `held` is "free", "fixed", "= EXPRESSION", "at lower bound", "at upper bound" or "not
+    `status` is "free", "fixed", "= EXPRESSION", "at lower bound", "at upper bound" or "not
     identifiable". The standard error is 0 for a fixed parameter, NaN at a bound, and infinite if
     the data do not determine the parameter.
     """
@@ -31,7 +31,7 @@ class Stated(NamedTuple):
     unit: str
     value: float
     standard_error: float
-    held: str
+    status: str
 
 
 def reported_space(space: Space) -> Space:
@@ -107,7 +107,7 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     errors = dict(zip(units, at.standard_errors, strict=True))
     values = dict(zip(units, at.theta, strict=True))
     own_uncertainty = reported_uncertainty(problem, at)
-    free = _held(own_uncertainty, reported_space(problem.space))
+    free = _status(own_uncertainty, reported_space(problem.space))
     if not isinstance(model, Tied):
         return [Stated(n, units[n], values[n], errors[n], free[n]) for n in units], slopes
     ties = model.ties
@@ -121,20 +121,21 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     stated = []
     for name in (*own, *extra):
         tie = ties.ties.get(name)
-        held = f"= {tie}" if isinstance(tie, str) else "fixed"
+        status = f"= {tie}" if isinstance(tie, str) else "fixed"
         if tie is None or name in errors:
-            held = free[name]
+            status = free[name]
         error = errors[name] if name in errors else spread[name]
-        stated.append(Stated(name, units.get(name) or own.get(name, ""), values[name], error, held))
+        unit = units.get(name) or own.get(name, "")
+        stated.append(Stated(name, unit, values[name], error, status))
     chosen = [list(units).index(name) for name in extra]
     return stated, np.vstack([rows, slopes[chosen]])
 
 
-def _held(at: Linearised, space: Space) -> dict[str, str]:
+def _status(at: Linearised, space: Space) -> dict[str, str]:
     """The state of each parameter of a space: FREE, at a bound, or not identifiable."""
-    held = dict.fromkeys(space.names, FREE)
-    held |= {space.names[k]: "not identifiable" for k in np.flatnonzero(at.unidentifiable)}
-    return held | {name: f"at {end} bound" for name, end, _ in parameters_at_bounds(at, space)}
+    status = dict.fromkeys(space.names, FREE)
+    status |= {space.names[k]: "not identifiable" for k in np.flatnonzero(at.unidentifiable)}
+    return status | {name: f"at {end} bound" for name, end, _ in parameters_at_bounds(at, space)}
 
 
 def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
@@ -148,8 +149,10 @@ def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
     nearer_low = values - space.low < space.high - values
     bounds = {
         p.name: f"at its {'lower' if low else 'upper'} bound"
-        for p, low, held in zip(space.parameters, nearer_low, at_bounds(space, values), strict=True)
-        if held
+        for p, low, at_bound in zip(
+            space.parameters, nearer_low, at_bounds(space, values), strict=True
+        )
+        if at_bound
     }
     units = {p.name: p.unit for p in space.parameters}
     errors = dict.fromkeys(space.names, np.nan)

@@ -94,7 +94,7 @@ def leave_one_out(
     problem: CurveFit,
     theta: Array,
     condition: str,
-    held: Sequence[int] = (),
+    fixed: Sequence[int] = (),
     deadline: Deadline | None = None,
     pool: Pool | None = None,
 ) -> pd.DataFrame:
@@ -108,7 +108,7 @@ def leave_one_out(
         Its optimum, the start of all fits.
     condition : str
         The column that defines the groups.
-    held : sequence of int
+    fixed : sequence of int
         Positions of parameters that do not change.
     deadline : Deadline, optional
         The time limit.
@@ -139,7 +139,7 @@ def leave_one_out(
     ]
     deadline = deadline or Deadline()
     seconds = None if pool is None else seconds_of_refit(problem, theta)
-    without = _Without(problem, theta, held, deadline)
+    without = _Without(problem, theta, fixed, deadline)
     rows = []
     for left_out, estimate in zip(
         parts, in_blocks(pool, without, parts, seconds, deadline.check), strict=True
@@ -167,12 +167,12 @@ class _Without:
 
     problem: CurveFit
     theta: Array
-    held: Sequence[int]
+    fixed: Sequence[int]
     deadline: Deadline
 
     def __call__(self, left_out: NDArray[np.bool_]) -> Array:
         weights = (~left_out).astype(float)
-        return refit(self.problem, self.theta, weights, self.held, deadline=self.deadline).theta
+        return refit(self.problem, self.theta, weights, self.fixed, deadline=self.deadline).theta
 
 
 def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = None) -> pd.DataFrame:

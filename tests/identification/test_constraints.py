@@ -173,7 +173,7 @@ def test_a_fit_that_dense_inequalities_leave_alone_is_that_without() -> None:
 
     fit = miho.fit(plane, tuple(X.T), y, box, constraints=texts, compiled=False)
     assert list(fit.values.values()) == pytest.approx(best, rel=1e-5)
-    assert list(fit.parameters["held"]) == ["free"] * 6
+    assert list(fit.parameters["status"]) == ["free"] * 6
     covariance = np.linalg.inv(X.T @ X) * np.sum((y - X @ best) ** 2) / 34
     errors = fit.parameters["standard_error"].to_numpy()
     assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
@@ -224,7 +224,7 @@ def test_an_order_that_holds_anyway_changes_no_result() -> None:
         assert fit.values == pytest.approx(plain.values, rel=1e-5)
         table, expected = fit.parameters, plain.parameters
         assert list(table.index) == list("abcd")
-        assert list(table["held"]) == ["free"] * 4
+        assert list(table["status"]) == ["free"] * 4
         for column in ("standard_error", "low", "high"):
             assert table[column].to_numpy() == pytest.approx(expected[column].to_numpy(), rel=1e-4)
     report, reference = fit.report(), plain.report()
