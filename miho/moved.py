@@ -31,6 +31,11 @@ MOVED = {
         for name in names
     },
     "miho.driving": "miho.vehicle.driving",
+    "miho.analysis.arena_results": "baselines.arena.results",
+    "miho.analysis.compare.readings": "baselines.arena.readings",
+    "miho.analysis.figures.arena": "baselines.arena.figures",
+    "miho.analysis.figures.ranking": "baselines.arena.ranking",
+    "miho.analysis.figures.readings": "baselines.arena.readings_figure",
     "miho.data.published_fits": "baselines.problems",
     "miho.models.published": "baselines.problems",
     "miho.data.PublishedFit": "baselines.problems.PublishedFit",
