@@ -10,7 +10,7 @@ from miho.core import machine
 
 FINISHED, PAUSED, REACHED = range(3)
 """End of a block of steps: no candidate needs anything; the next evaluation would exceed the
-allowed rows; or the target is reached."""
+allowed rows, or Ctrl-C; or the target is reached."""
 
 
 def bracket_of(rows: Rows) -> Callable[..., int]:

@@ -23,10 +23,10 @@ static void subtract(double *a, double factor, const double *b, int64_t rows) {
 
 /* Update T (side, side), the triangular factor of all previous rows, by more rows, given as n
    columns. By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix
-   Computations, section 5.2), chunk by chunk. Overwrites the columns. */
-static void fold(double *T, int64_t side, double *columns, int64_t stride, int64_t rows,
-                 int64_t n) {
-    for (int64_t k = 0; k < n; k++) {
+   Computations, section 5.2), chunk by chunk. Overwrites the columns; incomplete after a stop. */
+static void fold(double *T, int64_t side, double *columns, int64_t stride, int64_t rows, int64_t n,
+                 watch *by) {
+    for (int64_t k = 0; k < n && !stops_after((double)(rows * (n - k)), by); k++) {
         double *v = columns + k * stride, *row = T + k * side;
         double square = product_sum(v, v, rows), diagonal = row[k];
         if (square < SMALLEST) continue; /* a column of zeros: 1 / square would overflow */

@@ -34,6 +34,7 @@ static double solve_linear(search *s, candidate *c) {
     }
     box_problem b = {w->T, w->T + n, w->scale, w->low, w->high, side, side, n};
     solve_in_box(&b, w->step, &w->solver);
+    if (is_stopped(s)) return 0.0;
     double rest = w->T[n * side + n], square = rest * rest + square_norm(&b, w->step);
     for (int64_t j = 0; j < n; j++) {
         int64_t k = p->linear[j];
@@ -116,7 +117,8 @@ static void fill(search *s, candidate *c, int only_linear) {
         } else {
             p->residuals(p->value_tape, w->theta, p->X, p->N, p->y, start, start + rows, last);
         }
-        p->sums->fold(w->T, d + 1, w->chunk, CHUNK, rows, n + 1);
+        p->sums->fold(w->T, d + 1, w->chunk, CHUNK, rows, n + 1, w->solver.by);
+        if (is_stopped(s)) return;
     }
 }
 
@@ -128,39 +130,60 @@ static void list_improvement(search *s, double loss, int64_t more) {
     copy(s->w.theta, s->thetas + k * s->p.d, s->p.d);
 }
 
-/* Give a candidate its steps, one evaluation after the other, until it needs none. */
-int descend(search *s, int64_t i) {
+/* Bring a candidate to its next evaluation, and make it; returns RUNNING, or how this ended. */
+static int make_step(search *s, candidate *c) {
     const problem *p = &s->p;
-    candidate c = candidate_at(s, i);
-    while (prepare(s, &c)) {
-        int64_t stage = c.has->stage, m = s->m;
-        int project = c.has->projects && stage != RECORD;
-        int64_t cost = stage == SLOPES ? m * s->settings.slope_cost
-            : m * (project ? p->linears + 1 : 1);
-        if (cost > s->most - s->tally[SPENT] || s->tally[IMPROVEMENTS] >= s->events) return PAUSED;
-        s->tally[SPENT] += cost;
-        c.has->spent += cost;
-        /* Derivatives at its position. */
-        if (stage == SLOPES) {
-            to_units(p, c.x, s->w.theta);
-            fill(s, &c, 0);
-            take_factor(s, &c);
-            s->tally[UNUSABLES] += c.has->stage == UNUSABLE;
-            continue;
-        }
-        /* Or an evaluation of its trial, recorded if it is an improvement over all rows. */
-        to_units(p, stage == RECORD ? c.x : c.trial, s->w.theta);
-        double loss = look(s, c.derivatives && !project) / (double)m;
-        s->tally[NANS] += isnan(loss) != 0;
-        s->tally[INFINITIES] += isinf(loss) != 0;
-        if (s->rules.last && loss < s->best) list_improvement(s, loss, cost - m);
-        /* Solve for the linear parameters. */
-        if (project && isfinite(loss)) {
-            fill(s, &c, 1);
-            loss = solve_linear(s, &c);
-        }
-        after_evaluation(s, &c, loss);
-        if (s->best <= s->target) return REACHED;
+    if (!prepare(s, c)) return FINISHED;
+    int64_t stage = c->has->stage, m = s->m;
+    int project = c->has->projects && stage != RECORD;
+    int64_t cost = stage == SLOPES ? m * s->settings.slope_cost
+        : m * (project ? p->linears + 1 : 1);
+    if (cost > s->most - s->tally[SPENT] || s->tally[IMPROVEMENTS] >= s->events) return PAUSED;
+    s->tally[SPENT] += cost;
+    c->has->spent += cost;
+    /* Derivatives at its position. */
+    if (stage == SLOPES) {
+        to_units(p, c->x, s->w.theta);
+        fill(s, c, 0);
+        if (is_stopped(s)) return PAUSED;
+        take_factor(s, c);
+        s->tally[UNUSABLES] += c->has->stage == UNUSABLE;
+        return RUNNING;
     }
-    return FINISHED;
+    /* Or an evaluation of its trial, recorded if it is an improvement over all rows. */
+    to_units(p, stage == RECORD ? c->x : c->trial, s->w.theta);
+    double loss = look(s, c->derivatives && !project) / (double)m;
+    s->tally[NANS] += isnan(loss) != 0;
+    s->tally[INFINITIES] += isinf(loss) != 0;
+    if (s->rules.last && loss < s->best) list_improvement(s, loss, cost - m);
+    /* Solve for the linear parameters. */
+    if (project && isfinite(loss)) {
+        fill(s, c, 1);
+        loss = solve_linear(s, c);
+        if (is_stopped(s)) return PAUSED;
+    }
+    after_evaluation(s, c, loss);
+    return s->best <= s->target ? REACHED : RUNNING;
+}
+
+/* Give a candidate its steps, one evaluation after the other, until it needs none. A step that is
+   stopped is undone; it has not moved the candidate. */
+int descend(search *s, int64_t i) {
+    candidate c = candidate_at(s, i);
+    int ended = RUNNING;
+    while (ended == RUNNING) {
+        candidate_numbers numbers = *c.is;
+        candidate_counts counts = *c.has;
+        double best = s->best;
+        int64_t tally[TALLIES];
+        memcpy(tally, s->tally, sizeof tally);
+        ended = make_step(s, &c);
+        if (!is_stopped(s)) continue;
+        *c.is = numbers;
+        *c.has = counts;
+        s->best = best;
+        memcpy(s->tally, tally, sizeof tally);
+        ended = PAUSED;
+    }
+    return ended;
 }

@@ -38,7 +38,6 @@
 #define BETTER 0.025
 #define DEPENDENT 1e-7          /* smaller pivots, of columns of length 1, are dependent */
 #define MOST_KEPT 4000000       /* stored values at common starts */
-#define OPERATIONS_OF_WATCH 4e6 /* between two checks whether to stop: milliseconds */
 
 /* A configuration in search coordinates (logarithms of log-scale parameters) and in units; the
    triangular factor (d + 1, d + 1) of derivatives and residuals; and the sum of squares. */
@@ -56,7 +55,7 @@ typedef struct {
 typedef struct {
     const many_data *data;
     const many_starts *starts;
-    const watch *by;
+    watch *by;
     workspace *room;
     place here, trial, best;
     double *low, *high;         /* of the box, in search coordinates */
@@ -72,7 +71,6 @@ typedef struct {
     int64_t stride, longest, rows, descents;
     const double *X, *y;        /* of this dataset */
     double zero;                /* largest sum of squares that is 0 up to rounding */
-    double worked;
     int stopped;
 } fitter;
 
@@ -85,10 +83,7 @@ static void pad(double *column, int64_t rows) {
 }
 
 static void spend(fitter *w, double operations) {
-    w->worked += operations;
-    if (w->worked < OPERATIONS_OF_WATCH) return;
-    w->worked = 0.0;
-    w->stopped = w->stopped || w->by->stops(w->by->state);
+    w->stopped = stops_after(operations, w->by);
 }
 
 static void set_units(const fitter *w, place *at) {
@@ -127,7 +122,7 @@ static void evaluate(fitter *w, place *at) {
         for (int64_t i = 0; i < rows; i++) r[i] -= w->y[start + i];
         for (int64_t k = 0; k < side; k++) pad(w->chunk + k * stride, rows);
         at->squares += data->tape->level->product_sum(r, r, whole(rows));
-        data->tape->level->fold(at->R, side, w->chunk, stride, whole(rows), side);
+        data->tape->level->fold(at->R, side, w->chunk, stride, whole(rows), side, NULL);
         spend(w, (double)(rows * (data->tape->length + side * side)));
     }
     if (!isfinite(at->squares)) at->squares = INFINITY;
@@ -409,7 +404,7 @@ static int set_covariance(fitter *w, double *out) {
         if (data->log[k]) norms[j] /= w->best.theta[k];
     }
     memset(T, 0, (size_t)(side * side) * sizeof(double));
-    w->solver.level->fold(T, side, columns, 2 * d, d, n);
+    w->solver.level->fold(T, side, columns, 2 * d, d, n, NULL);
     for (int64_t j = 0; j < n; j++)
         if (fabs(T[j * side + j]) < DEPENDENT) return 0;
     /* Inverse of the factor, column by column, in place of the columns. */
@@ -512,7 +507,7 @@ static int open_room(fitter *w) {
 }
 
 int fit_many(const many_data *data, const many_starts *starts, const int64_t *which, int64_t n,
-             const watch *by, many_ends *out) {
+             watch *by, many_ends *out) {
     fitter w;
     memset(&w, 0, sizeof w);
     w.data = data;

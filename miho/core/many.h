@@ -39,14 +39,8 @@ typedef struct {
     uint8_t *flags;
 } many_ends;
 
-/* Called every few milliseconds: whether to stop. */
-typedef struct {
-    int (*stops)(void *state);
-    void *state;
-} watch;
-
 /* Fit the datasets `which` (n,); 0 without memory. After a stop the remaining results are
    unchanged. */
 int fit_many(const many_data *data, const many_starts *starts, const int64_t *which, int64_t n,
-             const watch *by, many_ends *out);
+             watch *by, many_ends *out);
 #endif

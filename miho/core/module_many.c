@@ -110,7 +110,7 @@ PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     int done = 0;
     if (taken) {
         PyThreadState *thread = PyEval_SaveThread();
-        watch by = {signalled, &thread};
+        watch by = {signalled, &thread, 0.0, 0};
         done = fit_many(&data, &starts, which, n, &by, &ends);
         PyEval_RestoreThread(thread);
     }

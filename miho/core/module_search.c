@@ -167,6 +167,16 @@ static int take(PyObject *const *a, arrays *all, search *s) {
     return 1;
 }
 
+/* Whether Ctrl-C was pressed. Python handles it after the call, which leaves a whole state. */
+static int interrupted(void *state) {
+    PyThreadState **thread = state;
+    PyEval_RestoreThread(*thread);
+    int pressed = PyOS_InterruptOccurred();
+    if (pressed) PyErr_SetInterrupt();
+    *thread = PyEval_SaveThread();
+    return pressed;
+}
+
 const char run_bracket_doc[] =
     "run_bracket(calls, kept, X, y, numbers, counts, R, stored, place, order, box, level_rows, "
     "minima, settings, most, best, target, at, losses, thetas, tally, room): run a bracket to its "
@@ -182,9 +192,11 @@ PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count)
     memset(&s, 0, sizeof s);
     int taken = take(a, &all, &s), ended = 0;
     if (taken) {
-        Py_BEGIN_ALLOW_THREADS
+        PyThreadState *thread = PyEval_SaveThread();
+        watch by = {interrupted, &thread, 0.0, 0};
+        s.w.solver.by = &by;
         ended = run_bracket(&s);
-        Py_END_ALLOW_THREADS
+        PyEval_RestoreThread(thread);
     }
     release_arrays(&all);
     return taken ? PyLong_FromLong(ended) : NULL;

@@ -18,8 +18,8 @@ enum { PHASE, AT_LEVEL, SIZE, ACTIVE, STORED, PLACES };
 /* Phases of a bracket. */
 enum { SCREEN, RUNG, LEAD, FINISH, REVIVE, POLISH, CLOSED, EMPTY, RETURNED, SOLVED };
 /* End of a block of steps: no candidate needs anything; the next evaluation would exceed the
-   allowed rows; or the target is reached. */
-enum { FINISHED, PAUSED, REACHED };
+   allowed rows, or Ctrl-C; or the target is reached. */
+enum { FINISHED, PAUSED, REACHED, RUNNING };
 /* Counts of a block, in `tally`. */
 enum { SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES, TALLIES };
 
@@ -99,11 +99,12 @@ typedef struct {
 } box_problem;
 
 /* Work arrays of the solver, for at most d parameters: free (d,), solution (d,), columns (d + 1, 2
-   d), T (d + 1, d + 1). */
+   d), T (d + 1, d + 1). The solver stops if `by`, unless it is NULL, says so. */
 typedef struct {
     double *free, *solution, *columns, *T;
     int64_t d;
     const struct level *level;
+    watch *by;
 } solver_room;
 
 /* Work arrays of steps. theta, step, low, high, scale (d,): the configuration in units, a step, its
@@ -138,6 +139,8 @@ static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double between(double low, double x, double high) {
     return smaller(larger(x, low), high);
 }
+/* Whether a call has to end; its last step is then undone. */
+static inline int is_stopped(const search *s) { return s->w.solver.by && s->w.solver.by->stopped; }
 static inline void copy(const double *from, double *to, int64_t n) {
     memcpy(to, from, (size_t)n * sizeof(double));
 }

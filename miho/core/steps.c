@@ -82,7 +82,7 @@ static void keep_residuals(const search *s, candidate *c) {
 }
 
 /* Triangular factor of the stored derivatives and of the residuals `last`, into w.T. */
-static void refold(const search *s, const candidate *c, const double *last) {
+static void refold(const search *s, const candidate *c, const double *last, watch *by) {
     int64_t d = s->p.d, m = s->m;
     memset(s->w.T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
     for (int64_t start = 0; start < m; start += CHUNK) {
@@ -90,12 +90,12 @@ static void refold(const search *s, const candidate *c, const double *last) {
         for (int64_t k = 0; k < d; k++)
             copy(c->derivatives + k * m + start, s->w.chunk + k * CHUNK, rows);
         copy(last + start, s->w.chunk + d * CHUNK, rows);
-        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, rows, d + 1);
+        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, rows, d + 1, by);
     }
 }
 
 /* Broyden update of the derivatives after a trial, in the metric of the scales D, and their
-   factor. */
+   factor. The update cannot be undone, so that nothing stops it. */
 static void take_secant(search *s, candidate *c) {
     int64_t d = s->p.d, m = s->m;
     double total = 0.0;
@@ -105,7 +105,7 @@ static void take_secant(search *s, candidate *c) {
         total += scaled * scaled;
     }
     s->p.sums->update_columns(c->derivatives, s->w.residuals, s->w.step, c->D, total, d, m);
-    refold(s, c, c->derivatives + d * m);
+    refold(s, c, c->derivatives + d * m, NULL);
 }
 
 /* Move a candidate to its trial, whose gain is rho times the predicted one. */
@@ -164,7 +164,8 @@ static int correct_trial(search *s, candidate *c) {
     int64_t d = s->p.d, side = d + 1;
     if (!c->derivatives || c->has->projects || c->has->secants) return 0;
     /* Q' (r + b) from the residuals of the trial. */
-    refold(s, c, w->residuals);
+    refold(s, c, w->residuals, w->solver.by);
+    if (is_stopped(s)) return 0;
     for (int64_t k = 0; k < d; k++) {
         double *q = w->T + k * side + d;
         for (int64_t j = k; j < d; j++) *q -= c->R[k * d + j] * (c->trial[j] - c->x[j]);
@@ -174,6 +175,7 @@ static int correct_trial(search *s, candidate *c) {
     set_damping(s, c, d, s->rules.last != 0);
     box_problem b = {c->R, w->T + d, w->scale, w->low, w->high, d, side, d};
     solve_in_box(&b, w->step, &w->solver);
+    if (is_stopped(s)) return 0;
     double turn = 0.0, length = 0.0;
     for (int64_t k = 0; k < d; k++) {
         double before = c->D[k] * (c->trial[k] - c->x[k]);
@@ -248,6 +250,7 @@ static void propose_trial(search *s, candidate *c) {
         for (int alike = on_all; alike >= 0 && !(predicted > s->rules.tolerance); alike--) {
             set_damping(s, c, n, alike);
             solve_in_box(&b, w->step, &w->solver);
+            if (is_stopped(s)) return;
             c->is->predicted_gain = square - square_norm(&b, w->step);
             predicted = total > 0 ? c->is->predicted_gain / total : 0.0;
         }
@@ -314,7 +317,7 @@ static int crawls(const search *s, candidate *c) {
 
 /* Bring a candidate to its next evaluation; 0 if it needs none in this block. */
 int prepare(search *s, candidate *c) {
-    while (c->has->stage == SLOPES || c->has->stage == READY) {
+    while (!is_stopped(s) && (c->has->stage == SLOPES || c->has->stage == READY)) {
         if (c->has->stage == READY && nears_known_minimum(s, c)) c->has->stage = AT_KNOWN;
         else if (c->has->trials >= s->rules.steps || crawls(s, c)) return 0;
         else if (c->has->stage == SLOPES) return 1;

@@ -4,6 +4,7 @@
 
 #include <stddef.h>
 #include <stdint.h>
+#include "watch.h"
 
 #define MOST_ROWS 256       /* per block */
 #define MANY_REGISTERS 24   /* with more, only half as many rows stay in the cache */
@@ -52,7 +53,8 @@ typedef struct level {
                 const double *scalars, int rows);
     double (*square_sum)(const double *values, const double *data, int rows);
     double (*product_sum)(const double *a, const double *b, int64_t rows);
-    void (*fold)(double *T, int64_t side, double *columns, int64_t stride, int64_t rows, int64_t n);
+    void (*fold)(double *T, int64_t side, double *columns, int64_t stride, int64_t rows, int64_t n,
+                 watch *by);
     void (*update_columns)(double *columns, const double *residuals, const double *step,
                            const double *D, double total, int64_t d, int64_t m);
     void (*vary)(const struct slopes *of, const double *values, const double *x, double *direct,

@@ -47,7 +47,7 @@ static int64_t factor_of_free(const box_problem *b, const double *s, const solve
     }
     for (int64_t j = 0; j <= count; j++)
         for (int64_t k = 0; k <= count; k++) room->T[j * side + k] = 0.0;
-    room->level->fold(room->T, side, room->columns, stride, 2 * n, count + 1);
+    room->level->fold(room->T, side, room->columns, stride, 2 * n, count + 1, room->by);
     return count;
 }
 
@@ -79,7 +79,7 @@ static void solve_free(const box_problem *b, const double *s, const solver_room 
     for (int64_t k = 0; k < n; k++)
         if (room->free[k] == DEPENDENT) room->free[k] = 1.0;
     int64_t count = factor_of_free(b, s, room);
-    while (!independent(n, count, room)) count = factor_of_free(b, s, room);
+    while (!stops_after(0.0, room->by) && !independent(n, count, room)) count = factor_of_free(b, s, room);
     for (int64_t j = count - 1; j >= 0; j--) {
         double right = -T[j * side + count];
         for (int64_t k = j + 1; k < count; k++) right -= T[j * side + k] * solution[k];
@@ -93,6 +93,7 @@ static void solve_free(const box_problem *b, const double *s, const solver_room 
 static int minimise_free(const box_problem *b, double *s, int stop, const solver_room *room) {
     const double *low = b->low, *high = b->high, *solution = room->solution;
     solve_free(b, s, room);
+    if (stops_after(0.0, room->by)) return 0;
     /* Share of the step up to the first bound. */
     double share = 1.0;
     for (int64_t k = 0, j = 0; k < b->n; k++) {
@@ -124,6 +125,7 @@ static int64_t steepest_inwards(const box_problem *b, const double *s, const sol
     int64_t found = -1;
     for (int64_t k = 0; k < b->n; k++) {
         if (room->free[k] != 0.0) continue;
+        if (stops_after((double)(k * b->n), room->by)) return -1;
         double slope = b->scale[k] * b->scale[k] * s[k];
         for (int64_t row = 0; row <= k; row++)
             slope += b->R[row * b->side + k] * row_of(b, s, row);
@@ -140,7 +142,8 @@ static int64_t steepest_inwards(const box_problem *b, const double *s, const sol
    its bounds at once, and the others are solved again. Then the fixed parameter with the steepest
    inward gradient is freed, and the step to the new solution ends at the first bound, so that each
    step decreases the sum of squares, until the Karush-Kuhn-Tucker conditions hold (Stark and
-   Parker, Computational Statistics 10, 1995), or 3 n parameters were freed. */
+   Parker, Computational Statistics 10, 1995), or 3 n parameters were freed. After a stop the result
+   is of no use. */
 void solve_in_box(const box_problem *b, double *s, const solver_room *room) {
     for (int64_t k = 0; k < b->n; k++) {
         s[k] = 0.0;

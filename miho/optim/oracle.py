@@ -439,7 +439,7 @@ class Oracle:
             self._check_end()
             if report.finished:
                 return
-            if not report.evaluations:
+            if not report.evaluations and most >= self.remaining:  # else Ctrl-C ended the block
                 raise BudgetExhausted
 
     @contextmanager

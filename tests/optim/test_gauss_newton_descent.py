@@ -1,16 +1,22 @@
 """A descent from a start by the machine ends where SciPy's does, and stays in the box."""
 
+import _thread
+import operator
+import signal
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy
 
+from miho.compiled.gauss_newton_machine import bracket_of
 from miho.core import machine
 from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.models import FunctionModel
-from miho.optim import Parameter, Space
+from miho.optim import Parameter, Space, gauss_newton_descent
 from miho.optim.gauss_newton_descent import LOOKS, descended
 
 pytestmark = pytest.mark.skipif(machine() is None, reason="there is no machine")
@@ -66,3 +72,44 @@ def test_it_ends_with_more_parameters_than_looks_between_two_pauses() -> None:
     assert fit.machine_rows is not None
     end = descended(fit.machine_rows, space, np.zeros(len(names)))
     np.testing.assert_allclose(end.sum(), 1.0)
+
+
+def dependent(d: int) -> CurveFit:
+    """The sum of d parameters, of which the data determine one combination: steps take long."""
+    names = [f"a{k}" for k in range(d)]
+    terms = " + ".join(f"{name} * {name}" for name in names)
+    source = f"def model(t, *, {', '.join(names)}):\n    return t * ({terms})\n"
+    made: dict[str, Callable[..., Any]] = {}
+    exec(source, made)
+    x = np.linspace(0.5, 1.5, 2 * d)
+    data = Dataset("sum", {"t": x, "y": 3 * x}, {"t": "", "y": ""}, "y")
+    return CurveFit(
+        FunctionModel(made["model"]), data, Space(tuple(Parameter(n, "", 0, 1) for n in names))
+    )
+
+
+def test_ctrl_c_undoes_a_step_and_the_next_call_repeats_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C arrives in every second call; a handler that does not raise lets the descent go on."""
+    fit = dependent(200)
+    rows, start = fit.machine_rows, np.linspace(0.2, 0.8, 200)
+    assert rows is not None
+    usual = descended(rows, fit.space, start)
+    used: list[int] = []
+
+    def pressing(rows: Any) -> Callable[..., int]:
+        def call(*arguments: Any) -> int:
+            run = partial(bracket_of(rows), *arguments)
+            calls: list[Any] = [_thread.interrupt_main, run] if len(used) % 2 else [run]
+            ended = list(map(operator.call, calls))[-1]  # in C: no handler runs in between
+            used.append(int(arguments[-2][0]))  # of the tally
+            return int(ended)
+
+        return call
+
+    monkeypatch.setattr(gauss_newton_descent, "bracket_of", pressing)
+    previous = signal.signal(signal.SIGINT, lambda *_: None)
+    try:
+        np.testing.assert_array_equal(descended(rows, fit.space, start), usual)
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert 0 in used, "a call that stops at once has used no rows"
