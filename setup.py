@@ -82,6 +82,7 @@ machine = Extension(
       "level_avx2", "level_avx512")],
     depends=[str(path) for path in sorted(CORE.glob("*.h"))],
     extra_compile_args=FLAGS,
+    extra_link_args=["-Wl,-s"] if sys.platform == "linux" else [],  # without names of functions
     define_macros=[("Py_LIMITED_API", "0x030b0000")] if LIMITED else [],
     py_limited_api=LIMITED,
     optional=True,
