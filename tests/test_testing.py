@@ -77,7 +77,7 @@ class Boasts(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         losses = oracle(oracle.space.decode(oracle.space.initial(10)))
-        oracle.record_descent(float(losses[0]), 0.9 * float(losses.min()))
+        oracle.starts.add(float(losses[0]), 0.9 * float(losses.min()))
 
 
 @dataclass(frozen=True)

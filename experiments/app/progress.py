@@ -67,7 +67,7 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             error = "no value yet"
             if math.isfinite(oracle.best):
                 error = with_unit(f"{math.sqrt(max(0.0, oracle.best)):.5g}", unit)
-            agreement = oracle.agreement
+            agreement = oracle.starts.agreement(oracle.best)
             n, kind = agreement.finished, "brackets" if oracle.meter.starts.brackets else "descents"
             agreeing = f", {agreement.agreeing} of {n} {kind} agree" if n else ""
             line = (

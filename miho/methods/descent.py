@@ -88,7 +88,7 @@ def local_search(
 ) -> Lowest:
     """One recorded descent from `start` (d,), and the best of its configurations."""
     lowest = Lowest(oracle.residuals, start)
-    with ending_where_unusable(), oracle.descent() as descent:
+    with ending_where_unusable(), oracle.starts.descent() as descent:
         descent.converged = descend(
             lowest, oracle.jacobian, start, oracle.space, tolerance, method, looks
         )

@@ -151,7 +151,8 @@ class HickernellYuan(Optimizer):
             near = sample.losses[i] < (1 + self.epsilon) * sample.best_loss
             if sample.stationary and not near:
                 continue
-            lowest, slopes = self._search(oracle, sample.thetas[i], self.search, oracle.descent())
+            record = oracle.starts.descent()
+            lowest, slopes = self._search(oracle, sample.thetas[i], self.search, record)
             lower = not sample.stationary or lowest.loss < LOWER * sample.best_loss
             if lower and slopes.full_rank and math.isfinite(lowest.loss):
                 sample.best, sample.best_loss = lowest.theta, lowest.loss

@@ -99,11 +99,11 @@ def multi_start(
     for _ in count() if rounds is None else range(rounds):
         thetas = space.decode(coordinates)
         losses = screening_losses(oracle, thetas)
-        oracle.record_screened(losses.size)
+        oracle.starts.screened += losses.size
         for i in np.argsort(losses, kind="stable")[:starts]:
             if not np.isfinite(losses[i]):
                 break
-            with ending_where_unusable(), oracle.descent() as descent:
+            with ending_where_unusable(), oracle.starts.descent() as descent:
                 descent.converged = solve(thetas[i])
         coordinates = space.sample(screen, rng)
 

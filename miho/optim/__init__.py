@@ -1,6 +1,7 @@
 """Optimisation: problems, methods, and the oracle that evaluates and counts."""
 
 from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
+from miho.optim.distribution import Distribution
 from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.meter import (
     Budget,
@@ -35,6 +36,7 @@ __all__ = [
     "Clock",
     "Descent",
     "Descents",
+    "Distribution",
     "LeastSquaresProblem",
     "Meter",
     "Minimum",

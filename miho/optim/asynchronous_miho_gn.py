@@ -121,7 +121,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         under_way = [bracket.begun(oracle) for bracket in state.brackets]
         polishes = any(bracket.state.phase == POLISH for bracket in state.brackets)
         while (
-            sum(r.evaluations for r in under_way if r is not None) < oracle.workers
+            sum(r.evaluations for r in under_way if r is not None) < oracle.workers.count
             and search.bracket < self.max_brackets
             and not polishes
         ):
@@ -130,7 +130,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
             search.bracket = begun.bracket
             state.brackets.append(BracketUnderWay(begun, oracle.evaluations))
             under_way.append(state.brackets[-1].begun(oracle))
-        arrived = oracle.first_ready([r.ahead for r in under_way if r is not None])
+        arrived = oracle.workers.first_ready([r.ahead for r in under_way if r is not None])
         bracket = state.brackets[arrived]
         # Evaluations of other brackets do not count for this one.
         bracket.state.spent_before += oracle.evaluations - bracket.evaluations

@@ -139,7 +139,7 @@ def _rounds_of_phase(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
         index, thetas = np.empty(active, np.int64), np.empty((active, d))
         count = entering(c, active, box, index, thetas)
         if count:
-            yield Round(count, oracle.ahead(thetas[:count], fidelity, "residuals"))
+            yield Round(count, oracle.workers.ahead(thetas[:count], fidelity, "residuals"))
             entrants = index[:count], thetas[:count]
             _evaluate_entering(oracle, fidelity, c, *entrants, box, level_rows, rules, w)
     while True:
@@ -175,8 +175,8 @@ def _begin_ahead(
             looks.append(theta)
             if c.projects[i] and c.stage[i] != RECORD:
                 looks += [_probe(theta, k, box) for k in box.linear]
-    begun = oracle.ahead(np.array(slopes), fidelity, "jacobian")
-    begun += oracle.ahead(np.array(looks), fidelity, "residuals")
+    begun = oracle.workers.ahead(np.array(slopes), fidelity, "jacobian")
+    begun += oracle.workers.ahead(np.array(looks), fidelity, "residuals")
     return Round(len(slopes) * oracle.jacobian_cost + len(looks), begun)
 
 

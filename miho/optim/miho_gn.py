@@ -242,7 +242,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if state.challenging:
             best = state.minima.x[state.best_minimum]
             starts = around(state.box.origin + state.box.width * best, starts, state.rng)
-        oracle.record_screened(n * (not state.linear))
+        oracle.starts.screened += n * (not state.linear)
         x = (starts - state.box.origin) / state.box.width
         fading = self.scale_decay if state.bracket % 2 else 1.0
         levels = state.level_rows.size
@@ -291,7 +291,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
                 state.best_found_after = oracle.evaluations
                 state.passed, state.challenging = 0, False
             if not state.challenging:
-                oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
+                oracle.starts.add(math.inf, loss, theta=state.theta(c.x[0]))
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE and (better or not state.challenging):
@@ -315,7 +315,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         c, known = state.candidates, state.minima
         loss, came_back = float(c.loss[0]), c.stage[0] == AT_KNOWN
         if state.last and c.stage[0] == DONE:
-            oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
+            oracle.starts.add(math.inf, loss, theta=state.theta(c.x[0]))
             return
         near, better = nearness(state.d, state.rows, state.last)
         level_losses = state.level_losses
@@ -330,9 +330,9 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if places.size:
             nearest = places[0]
             end, place = float(known.loss[nearest]), state.theta(known.x[nearest])
-            oracle.record_descent(math.inf, end, theta=place)
+            oracle.starts.add(math.inf, end, theta=place)
         else:
-            oracle.record_dropped()
+            oracle.starts.dropped += 1
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Close the bracket, and end the search if the ends of brackets are evidence enough.
@@ -342,7 +342,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False
-        agreement = oracle.agreement
+        agreement = oracle.starts.agreement(oracle.best)
         agreed = agreement.enough and self._credible(state, oracle, agreement)
         enough = agreed and state.passed >= self.challenges and self._tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)

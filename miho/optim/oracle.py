@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled import Block, Kernel
-from miho.optim.evidence import Agreement
+from miho.optim.distribution import Distribution
 from miho.optim.meter import (
     Budget,
     BudgetExhausted,
@@ -25,15 +24,26 @@ from miho.optim.problem import Problem
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
 from miho.optim.structure import MOST, has_structure
-from miho.optim.trace import Descent, Trace
-from miho.optim.usable_values import UsableValues, read_only
-from miho.parallel import Ahead, Evaluations
-from miho.parallel.usage import Usage
+from miho.optim.trace import Trace
+from miho.optim.usable_values import UsableValues
+from miho.parallel import Evaluations
 from miho.quantities import Array
 
 CHUNK_SECONDS = 0.02
 """Seconds of evaluations between two checks of the clock."""
-Kind = Literal["loss", "residuals", "jacobian"]
+MOVED = {
+    "ahead": "workers.ahead",
+    "first_ready": "workers.first_ready",
+    "spreads": "workers.spreads",
+    "usage": "workers.usage",
+    "busy": "workers.busy",
+    "descent": "starts.descent",
+    "record_descent": "starts.add",
+    "record_dropped": "starts.dropped += 1",
+    "record_screened": "starts.screened += n",
+    "agreement": "starts.agreement(oracle.best)",
+}
+"""Members of a part of the oracle, by their former names."""
 NO_LOSS = np.array([math.inf])
 NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
@@ -70,6 +80,10 @@ class Oracle:
         State of a resumable method, set by the method.
     interrupted : bool
         Once set, the next evaluation raises RunInterrupted.
+    workers : Distribution
+        Begins evaluations ahead, and knows how many to ask for at a time.
+    starts : Starts
+        Records descents; their agreement is the evidence for an optimum.
 
     Examples
     --------
@@ -105,7 +119,8 @@ class Oracle:
         self.space = problem.space if space is None else space
         self.rows = problem.rows
         self.meter = Meter() if meter is None else meter
-        self.meter.starts.rounding = max(problem.rounding, problem.resolution)
+        self.starts = self.meter.starts
+        self.starts.rounding = max(problem.rounding, problem.resolution)
         self.state: Any = None
         self.interrupted = False
         self._problem, self._evaluations = problem, evaluations
@@ -113,9 +128,9 @@ class Oracle:
         if evaluations is not None:
             evaluations.check = self._check_interrupt
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
+        self.workers = Distribution(problem, self._values, evaluations, self.meter, self._limit)
         self._deadline = math.inf if budget.seconds is None else budget.seconds
         self._target = -math.inf if budget.target is None else budget.target
-        self._descent: Descent | None = None
         self._recorder = Recorder(  # last, because its clock starts here
             self.meter,
             self.space,
@@ -124,6 +139,12 @@ class Oracle:
             Clock() if clock is None else clock,
             None if observer is None else partial(observer, self),
         )
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            now = f"; it is oracle.{MOVED[name]} now" if name in MOVED else ""
+            raise AttributeError(f"Oracle has no attribute {name!r}{now}")
 
     @property
     def evaluations(self) -> float:
@@ -190,8 +211,8 @@ class Oracle:
         begun = n == 1 or self._evaluations is None
         try:
             while losses.size < n:
-                if not begun and self.spreads:
-                    self.ahead(thetas[losses.size :], fidelity)
+                if not begun and self.workers.spreads:
+                    self.workers.ahead(thetas[losses.size :], fidelity)
                     begun = True
                 rows = thetas[losses.size : losses.size + self._chunk(n - losses.size, cost)]
                 if not len(rows):
@@ -208,67 +229,6 @@ class Oracle:
         if unfinished:
             unfinished.clear()
         return losses
-
-    @property
-    def workers(self) -> int:
-        """Largest number of simultaneous evaluations a method should ask for.
-
-        It is 1 until evaluations are known to be expensive enough for one worker each, then the
-        number of workers, also in a resumed run.
-        """
-        meter, evaluations = self.meter, self._evaluations
-        if evaluations is not None:
-            if meter.at_a_time == 1 and evaluations.worth_one:
-                meter.at_a_time = evaluations.workers
-            evaluations.usage.at_a_time = meter.at_a_time
-        return meter.at_a_time
-
-    @property
-    def spreads(self) -> bool:
-        """Whether workers evaluate batches: true once evaluations are known to be expensive."""
-        return self._evaluations is not None and self._evaluations.spreads
-
-    @property
-    def usage(self) -> Usage | None:
-        """Use of the workers, None without any."""
-        return None if self._evaluations is None else self._evaluations.usage
-
-    @property
-    def busy(self) -> int:
-        """Number of busy workers."""
-        return 0 if self._evaluations is None else self._evaluations.busy
-
-    def ahead(self, thetas: Array, fidelity: float = 1.0, kind: Kind = "loss") -> Ahead:
-        """Start to evaluate rows (n, d) on workers: losses, residuals or derivatives.
-
-        This counts and records nothing; the later request for the values does. Only as many
-        evaluations start as the budget allows.
-        """
-        cost = self._problem.cost(fidelity) * (self.jacobian_cost if kind == "jacobian" else 1)
-        affordable = len(thetas)
-        while affordable and not self.affords(affordable * cost):
-            affordable = min(affordable - 1, int(self.remaining / cost))
-        rows, part = read_only(thetas[:affordable]), () if fidelity == 1.0 else (fidelity,)
-
-        def ask() -> None:
-            if kind == "loss" and affordable:
-                self._problem.loss(rows, *part)
-            elif kind == "residuals" and affordable:
-                self._values.least_squares.residual_rows(rows, *part)
-            elif kind == "jacobian":
-                for theta in rows:
-                    self._values.least_squares.jacobian(theta, *part)
-
-        return Ahead([], ask) if self._evaluations is None else self._evaluations.ahead(ask)
-
-    def first_ready(self, needs: Sequence[Ahead]) -> int:
-        """Position of the first of these evaluations that is complete; waits for one of them.
-
-        It is 0 without workers.
-        """
-        if len(needs) == 1 or self._evaluations is None:
-            return 0
-        return self._evaluations.first_ready(needs)
 
     @property
     def kernel(self) -> Kernel | None:
@@ -294,7 +254,7 @@ class Oracle:
     @property
     def resolution(self) -> float:
         """Difference up to which two losses count as equal."""
-        return self.meter.starts.rounding
+        return self.starts.rounding
 
     @property
     def noise(self) -> float:
@@ -380,8 +340,8 @@ class Oracle:
         """
         part, cost = self._part(fidelity)
         self._check_open()
-        if self.spreads:
-            self.ahead(thetas, fidelity, "residuals")
+        if self.workers.spreads:
+            self.workers.ahead(thetas, fidelity, "residuals")
         rows = thetas[: self._chunk(len(thetas), cost)]
         if not len(rows):
             raise BudgetExhausted
@@ -442,64 +402,10 @@ class Oracle:
             if not report.evaluations and most >= self.remaining:  # else Ctrl-C ended the block
                 raise BudgetExhausted
 
-    @contextmanager
-    def descent(self) -> Iterator[Descent]:
-        """Record the enclosed evaluations as one descent of this run.
-
-        For methods that descend from several starts: the agreement of their ends is the evidence
-        for the optimum. The method sets `converged`.
-        """
-        self._descent = descent = Descent()
-        self.meter.starts.descents.append(descent)
-        try:
-            yield descent
-            descent.finished = True
-        finally:
-            self._descent = None
-
-    def record_descent(
-        self,
-        start: float,
-        end: float,
-        *,
-        converged: bool = True,
-        finished: bool = True,
-        theta: Array | None = None,
-    ) -> None:
-        """Record a descent whose steps alternate with steps of other descents.
-
-        Parameters
-        ----------
-        start, end : float
-            Losses over all rows; `start` is math.inf if the start was not evaluated on all rows. A
-            return to a known optimum has the `end` and `theta` of this optimum.
-        converged, finished : bool, optional
-            Whether the solver converged, and whether the descent came to its end.
-        theta : ndarray of shape (d,), optional
-            The end, in units.
-        """
-        self.meter.starts.add(start, end, converged=converged, finished=finished, theta=theta)
-
-    def record_dropped(self) -> None:
-        """Record a descent that ended on fewer than all rows, no better than a known optimum."""
-        self.meter.starts.dropped += 1
-
-    def record_screened(self, configurations: int) -> None:
-        """Record a number of configurations that were evaluated to choose starts of descents."""
-        self.meter.starts.screened += configurations
-
-    @property
-    def agreement(self) -> Agreement:
-        """Agreement of the ends of the descents so far on the best loss.
-
-        If it is `enough`, a method may stop.
-        """
-        return self.meter.starts.agreement(self.best)
-
     def stop(self) -> None:
         """Read the clocks for the last time, after the last evaluation."""
         self._recorder.stop()
-        usage, recorder = self.usage, self._recorder
+        usage, recorder = self.workers.usage, self._recorder
         if usage is not None and usage.each is None and not usage.known and recorder.evaluated:
             usage.here += round(recorder.evaluated)  # blocks are timed here only
             usage.each = recorder.evaluating / recorder.evaluated
@@ -533,8 +439,8 @@ class Oracle:
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Record a batch of losses (n,) with its improvements."""
         meter, least = self.meter, np.minimum.reduce(losses)
-        if self._descent is not None and cost == 1.0:
-            self._descent.see(rows, losses)
+        if self.starts.current is not None and cost == 1.0:
+            self.starts.current.see(rows, losses)
         if cost == 1.0 and least < meter.best:
             lower = losses < np.minimum.accumulate(np.append(meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)

@@ -27,7 +27,8 @@ class Pace:
 
     def update(self, oracle: Oracle) -> None:
         """Record the progress; evaluations from the journal do not count as speed."""
-        now, known = time.monotonic(), 0 if oracle.usage is None else oracle.usage.known
+        now, usage = time.monotonic(), oracle.workers.usage
+        known = 0 if usage is None else usage.known
         if known > self._known:
             self._known = known
             self._points.clear()
@@ -62,9 +63,9 @@ class Pace:
     def words(self, oracle: Oracle) -> str:
         """Rate, workers and remaining time, for example ', 4.9/s, at most 60 s left'."""
         words = f", {self.rate:,.3g}/s" if self.rate else ""
-        usage = oracle.usage
+        usage = oracle.workers.usage
         if usage is not None and usage.workers > 1 and usage.efficiency is not None:
             share = f"{min(usage.efficiency, 1.0):.0%} of their time"
-            words += f", {oracle.busy} of {usage.workers} workers busy ({share})"
+            words += f", {oracle.workers.busy} of {usage.workers} workers busy ({share})"
         left = self.seconds_left(oracle)
         return words + (f", at most {left:,.0f} s left" if math.isfinite(left) else "")

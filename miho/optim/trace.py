@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -88,7 +89,7 @@ class Starts:
     rows, no better than a known optimum, so that their final loss is unknown. With `brackets`, a
     descent is the last candidate of a bracket of successive halving. `exhausted`: the method ended
     at its largest number of brackets, without enough evidence. Losses that differ by less than
-    `rounding` count as equal.
+    `rounding` count as equal. `current` is the descent that the next evaluations belong to.
     """
 
     screened: int = 0
@@ -97,6 +98,22 @@ class Starts:
     dropped: int = 0
     brackets: bool = False
     exhausted: bool = False
+    current: Descent | None = None
+
+    @contextmanager
+    def descent(self) -> Iterator[Descent]:
+        """Record the enclosed evaluations as one descent of this run.
+
+        For methods that descend from several starts: the agreement of their ends is the evidence
+        for the optimum. The method sets `converged`.
+        """
+        self.current = descent = Descent()
+        self.descents.append(descent)
+        try:
+            yield descent
+            descent.finished = True
+        finally:
+            self.current = None
 
     def add(
         self,
@@ -107,7 +124,18 @@ class Starts:
         finished: bool = True,
         theta: Array | None = None,
     ) -> None:
-        """Add a descent, see `Descent`."""
+        """Record a descent whose steps alternate with steps of other descents.
+
+        Parameters
+        ----------
+        start, end : float
+            Losses over all rows; `start` is math.inf if the start was not evaluated on all rows. A
+            return to a known optimum has the `end` and `theta` of this optimum.
+        converged, finished : bool, optional
+            Whether the solver converged, and whether the descent came to its end.
+        theta : ndarray of shape (d,), optional
+            The end, in units.
+        """
         self.descents.append(Descent(float(start), float(end), finished, converged, theta))
 
     def agreement(self, best: float) -> Agreement:

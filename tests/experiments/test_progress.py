@@ -42,9 +42,9 @@ def test_the_bar_shows_it(
         oracle = Oracle(problem, budget, observer=observer, clock=clock)
         theta = problem.space.decode(problem.space.initial(1))
         loss = float(problem.loss(theta)[0])
-        oracle.record_descent(9.0, loss)
-        oracle.record_descent(9.0, loss)
-        oracle.record_descent(9.0, 1.5 * loss)
+        oracle.starts.add(9.0, loss)
+        oracle.starts.add(9.0, loss)
+        oracle.starts.add(9.0, 1.5 * loss)
         now[0] = 45.0
         oracle(theta)
     printed = capsys.readouterr().err

@@ -37,9 +37,9 @@ class Misled(Optimizer):
     def run(self, oracle, rng):
         loss = float(oracle(np.array([self.at]))[0])
         oracle.meter.starts.brackets = True
-        oracle.record_screened(100)
+        oracle.starts.screened += 100
         for _ in range(BRACKETS):
-            oracle.record_descent(np.inf, loss)
+            oracle.starts.add(np.inf, loss)
 
 
 @pytest.fixture

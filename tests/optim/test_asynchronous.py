@@ -28,8 +28,8 @@ from miho.optim import (
     minimize,
 )
 from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGNState
+from miho.optim.distribution import Distribution, Kind
 from miho.optim.miho_gn_state import MIHOGNState
-from miho.optim.oracle import Kind
 from miho.parallel import Ahead, worth
 from tests.optim.decays import Outside, fit
 
@@ -100,11 +100,11 @@ def workers() -> Iterator[Shuffling]:
 def several(monkeypatch: pytest.MonkeyPatch) -> None:
     """Evaluations at a time without workers; which of them ends first depends on their count."""
 
-    def first_ready(oracle: Oracle, needs: list[Ahead]) -> int:
-        return round(600 * oracle.evaluations) // 7 % len(needs)
+    def first_ready(workers: Distribution, needs: list[Ahead]) -> int:
+        return round(600 * workers._meter.evaluations) // 7 % len(needs)
 
-    monkeypatch.setattr(Oracle, "workers", AT_A_TIME)
-    monkeypatch.setattr(Oracle, "first_ready", first_ready)
+    monkeypatch.setattr(Distribution, "count", AT_A_TIME)
+    monkeypatch.setattr(Distribution, "first_ready", first_ready)
 
 
 def same(first: RunRecord, second: RunRecord) -> bool:
@@ -125,15 +125,17 @@ def test_rounds_of_candidates_are_the_same_with_any_workers(
 ) -> None:
     """A round has more than one evaluation of a kind begun; candidates wait for each other."""
     begun: list[tuple[str, int]] = []
-    ahead = Oracle.ahead
+    ahead = Distribution.ahead
 
-    def count(oracle: Oracle, thetas: Array, fidelity: float = 1.0, kind: Kind = "loss") -> Ahead:
+    def count(
+        workers: Distribution, thetas: Array, fidelity: float = 1.0, kind: Kind = "loss"
+    ) -> Ahead:
         begun.append((kind, len(thetas)))
-        return ahead(oracle, thetas, fidelity, kind)
+        return ahead(workers, thetas, fidelity, kind)
 
     problem, method = Outside(fit(linear=linear), says_rows), MIHOGN(max_brackets=3, base_cost=8.0)
     alone = minimize(method, problem, seed=1)
-    monkeypatch.setattr(Oracle, "ahead", count)
+    monkeypatch.setattr(Distribution, "ahead", count)
     spread = minimize(method, problem, seed=1, workers=workers, evaluation_limit=LIMIT)
     assert spread.error is None
     assert same(alone, spread)
@@ -172,7 +174,7 @@ def test_a_journal_repeats_a_run(tmp_path: Path, workers: Shuffling) -> None:
 
 
 def test_a_resumed_run_has_as_many_evaluations_at_a_time() -> None:
-    assert Oracle(fit(), Budget(), meter=Meter(at_a_time=AT_A_TIME)).workers == AT_A_TIME
+    assert Oracle(fit(), Budget(), meter=Meter(at_a_time=AT_A_TIME)).workers.count == AT_A_TIME
 
 
 def test_evaluations_in_progress_begin_again(workers: Shuffling) -> None:

@@ -97,11 +97,13 @@ def test_ends_agree_on_the_best_of_the_run() -> None:
     oracle = Oracle(Constant(), Budget())
     oracle(oracle.space.decode(oracle.space.initial(1)))
     for _ in range(9):
-        oracle.record_descent(math.inf, 1.001)
-    assert (oracle.agreement.agreeing, oracle.agreement.finished) == (0, 9)
+        oracle.starts.add(math.inf, 1.001)
+    agreement = oracle.starts.agreement(oracle.best)
+    assert (agreement.agreeing, agreement.finished) == (0, 9)
     for _ in range(9):
-        oracle.record_descent(math.inf, 1.00001)
-    assert (oracle.agreement.agreeing, oracle.agreement.finished) == (9, 18)
+        oracle.starts.add(math.inf, 1.00001)
+    agreement = oracle.starts.agreement(oracle.best)
+    assert (agreement.agreeing, agreement.finished) == (9, 18)
     descents = Descents.of(oracle.meter.starts, oracle.best)
     assert descents is not None
     assert descents.agreeing == 9
@@ -113,12 +115,12 @@ class Returning(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         best = math.inf
-        while not oracle.agreement.enough:
-            oracle.record_screened(10)
-            oracle.record_descent(5.0, 4.0, finished=False)
+        while not oracle.starts.agreement(oracle.best).enough:
+            oracle.starts.screened += 10
+            oracle.starts.add(5.0, 4.0, finished=False)
             losses = oracle(oracle.space.decode(oracle.space.sample(10, rng)))
             best = min(best, float(losses.min()))
-            oracle.record_descent(math.inf, best if best < 1 else 1.0, converged=True)
+            oracle.starts.add(math.inf, best if best < 1 else 1.0, converged=True)
 
 
 def test_a_method_stops_by_its_evidence_and_the_run_keeps_it() -> None:
@@ -147,7 +149,7 @@ class Subsets(DecayFit):
 def test_a_loss_on_fewer_rows_is_no_end() -> None:
     oracle = Oracle(Subsets(), Budget())
     theta = oracle.space.decode(oracle.space.initial(1))
-    with oracle.descent():
+    with oracle.starts.descent():
         oracle(theta, 0.5)
         oracle(theta)
     assert oracle.meter.starts.ends == [1.0]

@@ -318,3 +318,9 @@ def test_configurations_of_another_dimension_are_refused() -> None:
     with pytest.raises(ValueError, match=r"have the shape \(1, 3\); expected \(n, 2\)"):
         oracle(np.ones((1, 3)))
     oracle.stop()
+
+
+def test_a_former_member_names_its_place() -> None:
+    oracle = Oracle(DecayFit(), Budget())
+    with pytest.raises(AttributeError, match=r"it is oracle\.starts\.add now"):
+        _ = oracle.record_descent
