@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from miho.data import Dataset
     from miho.fitting import Fit, Part, fit, fit_joint, fit_many
     from miho.identification import CurveFit, compare_models
+    from miho.online import Tracker
     from miho.optim import (
         MIHO,
         MIHOGN,
@@ -42,6 +43,7 @@ __all__ = [
     "Part",
     "Problem",
     "Space",
+    "Tracker",
     "compare_models",
     "fit",
     "fit_joint",

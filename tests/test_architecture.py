@@ -35,6 +35,18 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         },
         NUMERICS | TABLES | {"emcee", "arviz"},
     ),
+    "miho.online": (
+        {
+            "miho.core",
+            "miho.online",
+            "miho.compiled",
+            "miho.optim",
+            "miho.models",
+            "miho.data",
+            "miho.identification",
+        },
+        NUMERICS,
+    ),
     "miho.vehicle.models": (
         {"miho.vehicle.models", "miho.models", "miho.compiled", "miho.data", "miho.optim"},
         NUMERICS,

@@ -1,0 +1,22 @@
+"""Tracking: parameters that change while data arrive, with intervals and an alarm."""
+
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.online.method import OnlineMethod, Running
+    from miho.online.state import Alarm, Mixture, TrackerState
+    from miho.online.tracker import Tracker, TrackerSettings
+
+__all__ = [
+    "Alarm",
+    "Mixture",
+    "OnlineMethod",
+    "Running",
+    "Tracker",
+    "TrackerSettings",
+    "TrackerState",
+]
+
+__getattr__, __dir__ = at_first_use(__name__)

@@ -1,0 +1,62 @@
+"""The interface of all methods that track parameters: settings, and a run that takes rows."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from miho.data.dataset import Dataset
+from miho.identification.curve_fit import CurveFit
+from miho.online.state import TrackerState
+from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.identification.report import Report
+
+Problems = CurveFit | Sequence[CurveFit]
+"""A problem, or one for each output; problems share parameters and inputs by name."""
+
+Rows = Dataset | Mapping[str, float | Array]
+"""Columns by name: numbers for one row, arrays for several."""
+
+
+class Running(ABC):
+    """Abstract base class of a run of a method: it takes rows and returns its state."""
+
+    @abstractmethod
+    def update(self, rows: Rows) -> TrackerState:
+        """Take one or several rows, and return the state after the last of them."""
+
+
+class OnlineMethod(ABC):
+    """Abstract base class of a method that tracks parameters: a frozen dataclass of settings.
+
+    One instance starts any number of runs.
+    """
+
+    @abstractmethod
+    def start(
+        self,
+        problem: Problems,
+        prior: Report | Mapping[str, tuple[float, float]] | None = None,
+        changes: Mapping[str, float] | None = None,
+        input_noise: Mapping[str, float] | None = None,
+        period: float = 0.02,
+    ) -> Running:
+        """Return a run that has seen no row.
+
+        Parameters
+        ----------
+        problem : CurveFit or sequence of CurveFit
+            The model of each output, its bounds, and the standard deviation of its errors.
+        prior : Report or mapping of str to (value, standard deviation), optional
+            Knowledge from before; by default the middle of the bounds and a share of their width.
+        changes : mapping of str to float, optional
+            Parameters that may jump, and the share of their value by which they may; by default
+            each free parameter by 0.35.
+        input_noise : mapping of str to float, optional
+            Standard deviation of the noise of input columns, in their units.
+        period : float, optional
+            Time between two rows [s], for rows without a column "time".
+        """

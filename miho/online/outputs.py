@@ -1,0 +1,140 @@
+"""The outputs of a tracked system: models that share parameters and inputs by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from miho.identification.curve_fit import CurveFit
+from miho.models.joint import PART, parts_of
+from miho.models.model import Model
+from miho.models.tied import Tied
+from miho.optim.space import Parameter, Space
+from miho.quantities import Array
+
+TIME = "time"
+"""Column of the time of a row [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """One output: its column, its model, and the standard deviation of its errors.
+
+    `parameters` are the common names of the model's parameters, in the model's order.
+    """
+
+    column: str
+    unit: str
+    model: Model
+    parameters: tuple[str, ...]
+    sigma: float
+    columns: Mapping[str, Array]
+
+    def examples(self) -> list[Array]:
+        """The input columns of the offline data."""
+        return [self.columns[name] for name in self.model.inputs]
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """All outputs, and the parameters with their bounds."""
+
+    outputs: tuple[Output, ...]
+    space: Space
+
+    @cached_property
+    def inputs(self) -> Mapping[str, str]:
+        """Units of the input columns of all outputs."""
+        return {name: unit for one in self.outputs for name, unit in one.model.inputs.items()}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.space.names
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Standard deviation of the errors of each output."""
+        return np.array([one.sigma for one in self.outputs])
+
+
+def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = None) -> System:
+    """Return the outputs and parameters of a problem, a joint problem or one problem per output.
+
+    `noise` is the standard deviation of the errors of a problem without sigma.
+
+    Raises
+    ------
+    ValueError
+        If a model needs all rows in order, if sigma is unknown, or if problems do not agree.
+    """
+    each = [problems] if isinstance(problems, CurveFit) else list(problems)
+    if not each or not all(isinstance(problem, CurveFit) for problem in each):
+        raise ValueError(f"problem is {problems!r}; expected a CurveFit, or one for each output")
+    outputs = [output for problem in each for output in _outputs(problem, noise)]
+    columns = [output.column for output in outputs]
+    for name in columns:
+        if columns.count(name) > 1:
+            raise ValueError(
+                f"problem: the output {name!r} occurs twice; expected different outputs"
+            )
+    return System(tuple(outputs), _common(each))
+
+
+def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:
+    parts = parts_of(problem.model)
+    if problem.model.ordered:
+        raise ValueError(
+            f"problem: the model of {problem.name} needs all rows in order; expected a model of "
+            "each row alone, for example the change of a state over one step"
+        )
+    if not parts:
+        data = problem.dataset
+        sigma = _sigma(problem, noise)
+        names = tuple(problem.model.parameters)
+        model = problem.model
+        return [Output(data.output, data.units[data.output], model, names, sigma, data.columns)]
+    if isinstance(problem.model, Tied):
+        raise ValueError(
+            f"problem: {problem.name} fixes or ties parameters of several parts; expected a "
+            "sequence of problems, one for each output"
+        )
+    outputs = []
+    for k, part in enumerate(parts):
+        rows = problem.dataset[PART] == k
+        columns = {name: problem.dataset[name][rows] for name in part.model.inputs}
+        sigma = float(np.median(problem.dataset[str(problem.sigma)][rows]))
+        unit = part.model.output
+        outputs.append(Output(part.name, unit, part.model, part.parameters, sigma, columns))
+    return outputs
+
+
+def _sigma(problem: CurveFit, noise: float | None) -> float:
+    """The standard deviation of the errors of an output."""
+    known = problem.scale if problem.sigma_known or noise is None else noise
+    for sigma in (known, noise):
+        if sigma is not None and 0 < sigma < np.inf:
+            return float(sigma)
+    raise ValueError(
+        f"problem: {problem.name} has no sigma; give sigma, or the report of its fit as the prior"
+    )
+
+
+def _common(problems: Sequence[CurveFit]) -> Space:
+    """The parameters of all problems; those with the same name must be equal."""
+    known: dict[str, Parameter] = {}
+    for problem in problems:
+        for parameter in problem.space.parameters:
+            first = known.setdefault(parameter.name, parameter)
+            if (first.low, first.high, first.unit) != (
+                parameter.low, parameter.high, parameter.unit,
+            ):  # fmt: skip
+                raise ValueError(
+                    f"problem: {parameter.name} has the bounds {first.low:g} to {first.high:g} "
+                    f"{first.unit} and {parameter.low:g} to {parameter.high:g} {parameter.unit}; "
+                    "expected the same in all problems"
+                )
+    return Space(tuple(known.values()))

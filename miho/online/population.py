@@ -1,0 +1,336 @@
+"""The population of hypotheses, and its update by one row in NumPy.
+
+`miho/core/track.c` does the same on the machine of formulas.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.online.slopes import RowFormula
+from miho.online.state import Mixture
+from miho.quantities import Array
+
+EMPTY = -1e9
+"""Logarithm of the weight of a slot without a hypothesis."""
+LEAST_WEIGHT = -1e6
+SMALLEST = 1e-300
+LARGEST_NOISE = 1e6
+"""Largest factor by which a suspected outlier is less certain, as one over its share of inliers."""
+RISE = 1.02
+"""Largest rise of a parameter's best information by one row: a wrong input must not set it."""
+NUMBERS = ("row", "clock", "last_time", "since", "quiet_until", "turn", "odds", "alarm", "gain")
+"""Counters of a population. `clock` is the time that has passed [s], `since` the last row that
+counts as before a change, `gain` the information that the last row gave the best hypothesis."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a population, and the place of each of its arrays in one memory of doubles.
+
+    K hypotheses of d parameters, m outputs, and q inputs with noise.
+    """
+
+    K: int
+    d: int
+    m: int
+    q: int
+
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the arrays, in their order."""
+        K, d, watched = self.K, self.d, self.q + self.m
+        return {
+            "numbers": (len(NUMBERS),), "theta": (K, d), "P": (K, d, d), "share": (K, d),
+            "weight": (K,), "drift": (K,), "born": (K,), "was": (K, d), "peak": (d,),
+            "informed": (d,), "mean": (self.q,), "variance": (self.q,), "last": (watched,),
+            "repeats": (watched,),
+        }  # fmt: skip
+
+    @cached_property
+    def size(self) -> int:
+        """Length of the memory."""
+        return sum(math.prod(shape) for shape in self.shapes.values())
+
+    def views(self, memory: Array) -> dict[str, Array]:
+        """The arrays as views of a memory."""
+        made, at = {}, 0
+        for name, shape in self.shapes.items():
+            count = math.prod(shape)
+            made[name] = memory[at : at + count].reshape(shape)
+            at += count
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """Numbers by which a population is updated.
+
+    Covariances and drifts are in `unit` (d,) of each parameter: the size of a jump of a watched
+    parameter, and the standard deviation before the first row of the others.
+    """
+
+    hazard: float
+    outliers: float
+    width: float
+    threshold: float
+    near: float
+    long: float
+    middle: float
+    short: float
+    use: float
+    smooth: float
+    hold: float
+    repeats: float
+    gap: float
+    every: float
+    cap: float
+    unit: Array
+    low: Array
+    high: Array
+    watched: Array
+    sigma: Array
+    noise: Array
+
+    @cached_property
+    def packed(self) -> Array:
+        """All numbers in their order."""
+        return np.concatenate([np.atleast_1d(value) for value in vars(self).values()]).astype(float)
+
+
+class Population:
+    """Hypotheses, each with parameters, covariance, weight, drift, and what it departed from.
+
+    Parameters
+    ----------
+    layout : Layout
+        Sizes.
+    rules : Rules
+        Settings.
+    formula : RowFormula
+        The outputs of a row and their derivatives.
+    memory : ndarray
+        All numbers that change, (layout.size,).
+    """
+
+    def __init__(self, layout: Layout, rules: Rules, formula: RowFormula, memory: Array) -> None:
+        self.layout, self.rules, self.formula, self.memory = layout, rules, formula, memory
+        views = layout.views(memory)
+        self.numbers, self.theta, self.P, self.share = (
+            views[name] for name in ("numbers", "theta", "P", "share")
+        )
+        self.weight, self.drift, self.born, self.was = (
+            views[name] for name in ("weight", "drift", "born", "was")
+        )
+        self.peak, self.informed, self.mean, self.variance = (
+            views[name] for name in ("peak", "informed", "mean", "variance")
+        )
+        self.last, self.repeats = views["last"], views["repeats"]
+
+    def begin(self, theta: Array, covariance: Array, peak: Array) -> None:
+        """Set three hypotheses, of long, middle and short memory, at the prior."""
+        rules = self.rules
+        self.memory[:] = 0.0
+        self.theta[:] = self.was[:] = theta
+        self.share[:], self.weight[:], self.born[:] = 1.0, EMPTY, -1.0
+        self.P[:3] = covariance / np.outer(rules.unit, rules.unit)
+        self.drift[:3] = rules.long, rules.middle, rules.short
+        self.weight[:3] = 0.0, -1.5, -3.0
+        self.peak[:], self.informed[:], self.last[:] = peak, -math.inf, math.nan
+        self.variance[:] = math.inf
+        self["since"], self["quiet_until"], self["last_time"] = -1.0, -math.inf, math.nan
+        self["odds"] = LEAST_WEIGHT
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.numbers[NUMBERS.index(name)])
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self.numbers[NUMBERS.index(name)] = value
+
+    def update(self, time: float, x: Array, y: Array) -> None:
+        """Take one row: its time [s], inputs (p,), with noise in the first q, and outputs (m,)."""
+        seconds = self._pass(time)
+        usable = self._usable(x, y)
+        self["gain"], self["alarm"] = 0.0, 0.0
+        living = np.flatnonzero(self.weight > EMPTY)
+        grown = self._drift(living, seconds)
+        if usable.any():
+            row, noise = self._smoothed(x, seconds)
+            teaches = self._learn(living, grown, row, noise, np.where(usable, y, math.nan))
+        best, first = self._judge(living)
+        if usable.any() and self["row"] % self.rules.every == 0 and teaches[best]:
+            self._bear(best, first)
+        self["row"] += 1
+
+    def _pass(self, time: float) -> float:
+        """Advance the clock; time that goes back does not count, and a gap counts up to a limit."""
+        passed = time - self["last_time"]
+        passed = min(max(passed, 0.0), self.rules.gap) if passed == passed else 0.0
+        self["last_time"] = time
+        self["clock"] += passed
+        return passed
+
+    def _usable(self, x: Array, y: Array) -> NDArray[np.bool_]:
+        """Outputs (m,) that are finite and do not repeat, in a row whose inputs are so too."""
+        q = self.layout.q
+        values = np.concatenate([x[:q], y])
+        self.repeats[:] = np.where(values == self.last, self.repeats + 1, 0.0)
+        self.last[:] = values
+        good = np.isfinite(values) & (self.repeats < self.rules.repeats)
+        return np.asarray(good[q:] & bool(good[:q].all() and np.isfinite(x).all()))
+
+    def _smoothed(self, x: Array, seconds: float) -> tuple[Array, Array]:
+        """The inputs (p,) shrunk to their running mean by the share of noise in their variance.
+
+        This regression calibration (Carroll et al., Measurement Error in Nonlinear Models, 2006,
+        Ch. 4) keeps noise of an input from attenuating the slope. Returns the noise left (q,) too.
+        """
+        q, rules = self.layout.q, self.rules
+        row = x.copy()
+        unseen = np.isinf(self.variance)
+        b = max(min(seconds / rules.smooth, 1.0), 1 / (self["row"] + 1))
+        away = x[:q] - np.where(unseen, x[:q], self.mean)
+        self.mean[:] = np.where(unseen, x[:q], self.mean + b * away)
+        floor = np.where(unseen, LARGEST_NOISE * rules.noise**2, self.variance)
+        self.variance[:] = np.where(unseen, floor, (1 - b) * (floor + b * away**2))
+        kept = np.maximum(0.0, 1 - rules.noise**2 / self.variance)
+        row[:q] = self.mean + kept * (x[:q] - self.mean)
+        return row, rules.noise * np.sqrt(kept)
+
+    def _drift(self, living: NDArray[np.intp], seconds: float) -> Array:
+        """Widen hypotheses by their drift; returns the share (K, d) of the variance that is new."""
+        grown = np.zeros((self.layout.K, self.layout.d))
+        for s in living:
+            variance = self.P[s].diagonal()
+            more = np.where(variance < self.rules.cap, self.drift[s] ** 2 * seconds, 0.0)
+            grown[s] = more / np.maximum(variance + more, SMALLEST)
+            self.P[s].flat[:: self.layout.d + 1] += more
+        return grown
+
+    def _learn(
+        self, living: NDArray[np.intp], grown: Array, row: Array, noise: Array, y: Array
+    ) -> NDArray[np.bool_]:
+        """Weigh and improve each hypothesis; returns which (K,) may be taught a watched parameter."""
+        rules = self.rules
+        slopes = self.formula.at(self.theta, row)
+        J = slopes.parameters * rules.unit
+        variance = rules.sigma[:, None] ** 2 + np.sum((slopes.inputs * noise) ** 2, axis=2)
+        information = np.sqrt(np.sum((J / rules.sigma[:, None, None]) ** 2, axis=0))
+        best = living[np.argmax(self.weight[living])]
+        self._note(information[best])
+        free = (information >= rules.use * self.peak) | (rules.watched == 0)
+        for s in living:
+            if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
+                self.weight[s] += math.log(SMALLEST)
+                continue
+            taught, gain = self._correct(
+                s, slopes.values[:, s], J[:, s], variance[:, s], free[s], y
+            )
+            self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
+            self.share[s] += taught
+            if s == best:
+                self["gain"] = gain
+        return np.asarray((free & (rules.watched > 0)).any(axis=1))
+
+    def _note(self, information: Array) -> None:
+        """Note the information (d,) of a row, and the parameters that it informs."""
+        if np.isfinite(information).all():
+            raised = np.where(self.peak > 0, np.minimum(information, RISE * self.peak), information)
+            self.peak[:] = np.maximum(self.peak, raised)
+            informs = (information >= self.rules.use * self.peak) & (information > 0)
+            self.informed[informs] = self["clock"]
+
+    def _correct(
+        self, s: int, values: Array, J: Array, variance: Array, free: NDArray[np.bool_], y: Array
+    ) -> tuple[Array, float]:
+        """One Gauss-Newton step per output; returns the shares taught (d,) and the information."""
+        rules, P, theta = self.rules, self.P[s], self.theta[s]
+        before, total, taught = theta.copy(), 0.0, np.zeros(theta.size)
+        for o in np.flatnonzero(~np.isnan(y)):
+            j = J[o]
+            e = y[o] - values[o] - j @ ((theta - before) / rules.unit)
+            Pj = P @ j
+            S = float(j @ Pj) + variance[o]
+            wide = S + rules.width * variance[o]
+            inlier = (1 - rules.outliers) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
+            outlier = rules.outliers * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)
+            self.weight[s] += math.log(inlier + outlier + SMALLEST)
+            kept = max(inlier / (inlier + outlier + SMALLEST), 1 / LARGEST_NOISE)
+            total += kept * (S / variance[o] - 1)
+            S /= kept
+            gain = np.where(free, Pj / S, 0.0)
+            theta[:] = np.clip(theta + rules.unit * gain * e, rules.low, rules.high)
+            P += S * np.outer(gain, gain) - np.outer(gain, Pj) - np.outer(Pj, gain)
+            taught += gain * j
+        return np.clip(taught, 0.0, 1.0), total
+
+    def _judge(self, living: NDArray[np.intp]) -> tuple[int, int]:
+        """Weigh a change against none; returns the best hypothesis, and the best of no change."""
+        rules, weight = self.rules, self.weight
+        best = int(living[np.argmax(weight[living])])
+        weight[living] = np.maximum(weight[living] - weight[best], LEAST_WEIGHT)
+        late = self.born > self["since"]
+        away = np.abs(self.theta - self.was) > rules.near * rules.unit
+        changed = late & (away & (rules.watched > 0)).any(axis=1)
+        odds = np.exp(weight)
+        new, old = odds[changed].sum() + SMALLEST, odds[~changed].sum() + SMALLEST
+        self["odds"] = math.log(new / old)
+        quiet = self["clock"] < self["quiet_until"]
+        if quiet:
+            self["since"] = self["row"]
+        elif self["odds"] > rules.threshold:
+            self["alarm"] = 1.0
+            self["quiet_until"] = self["clock"] + rules.hold
+        early = np.flatnonzero(~late & (weight > EMPTY))
+        return best, int(early[np.argmax(weight[early])]) if early.size else best
+
+    def _bear(self, best: int, first: int) -> None:
+        """Put a fresh hypothesis of a jump in the place of the least likely one."""
+        rules = self.rules
+        able = self["row"] - self.born > rules.every
+        able[[best, first]] = False
+        if not able.any():
+            return
+        slot = int(np.flatnonzero(able)[np.argmin(self.weight[able])])
+        self.was[slot] = self.theta[best] if self.born[best] <= self["since"] else self.was[best]
+        self.theta[slot], self.P[slot], self.share[slot] = self.theta[best], self.P[best], 1.0
+        self.P[slot].flat[:: self.layout.d + 1] += 1.0
+        third = self["turn"] % 3 == 2
+        self.drift[slot] = rules.middle if third else rules.long
+        self.born[slot], self.weight[slot] = self["row"], math.log(rules.hazard)
+        self["turn"] += 1
+
+    def changed(self) -> tuple[Array, Array, Array]:
+        """Values before and after the change, and the standard errors of their difference (d,)."""
+        away = np.abs(self.theta - self.was) > self.rules.near * self.rules.unit
+        late = (self.born > self["since"]) & (away & (self.rules.watched > 0)).any(axis=1)
+        weights = np.where(late, np.exp(self.weight), 0.0)
+        weights /= weights.sum()
+        before, after = weights @ self.was, weights @ self.theta
+        variance = weights @ ((self.theta - after) / self.rules.unit) ** 2
+        variance += weights @ self.P.diagonal(axis1=1, axis2=2)
+        early = np.flatnonzero(~late & (self.weight > EMPTY))
+        if early.size:
+            variance += self.P[early[np.argmax(self.weight[early])]].diagonal()
+        return before, after, self.rules.unit * np.sqrt(variance)
+
+    def estimate(self) -> tuple[Array, Array, Mixture]:
+        """Mean (d,), covariance (d, d) and distribution of the parameters.
+
+        The drift of a long memory is a way to forget, not a belief: its variance counts by `share`.
+        """
+        weights = np.exp(self.weight)
+        weights /= weights.sum()
+        long = (self.drift <= self.rules.long)[:, None]
+        roots = self.rules.unit * np.sqrt(np.where(long, self.share, 1.0))
+        mean = weights @ self.theta
+        away = self.theta - mean
+        covariance = np.einsum("s,sij,si,sj->ij", weights, self.P, roots, roots)
+        covariance += (away.T * weights) @ away
+        deviations = roots * np.sqrt(np.maximum(self.P.diagonal(axis1=1, axis2=2), 0.0))
+        return mean, covariance, Mixture(weights, self.theta.copy(), deviations)

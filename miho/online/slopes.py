@@ -1,0 +1,131 @@
+"""Outputs of one row and their derivatives by parameters and inputs, at several configurations."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from miho.core import Tape, TapeError
+from miho.models.expression import Expression
+from miho.models.formula_tape import tape_of
+from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, trace
+from miho.online.outputs import Output, System
+from miho.quantities import Array
+
+
+class Slopes(NamedTuple):
+    """Outputs (m, K), derivatives by parameters (m, K, d) and by the noisy inputs (m, K, q)."""
+
+    values: Array
+    parameters: Array
+    inputs: Array
+
+
+class RowFormula(ABC):
+    """Abstract base class: the outputs of one row and their derivatives."""
+
+    @abstractmethod
+    def at(self, thetas: Array, row: Array) -> Slopes:
+        """Return outputs and derivatives at configurations (K, d) and inputs (p,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class TapedFormula(RowFormula):
+    """Outputs and derivatives from one tape, whose columns are the inputs, then the parameters.
+
+    Its results are, for each output, the value, the d derivatives by the parameters, and the q
+    derivatives by the first inputs, which have noise.
+    """
+
+    tape: Tape
+    outputs: int
+    d: int
+    q: int
+
+    def at(self, thetas: Array, row: Array) -> Slopes:
+        """Return outputs and derivatives at configurations (K, d) and inputs (p,)."""
+        K = len(thetas)
+        X = np.empty((row.size + self.d, K))
+        X[: row.size] = row[:, None]
+        X[row.size :] = thetas.T
+        results = self.tape.evaluate(np.empty((1, 0)), X)[0]
+        each = results.reshape(self.outputs, 1 + self.d + self.q, K)
+        slopes = each[:, 1:].transpose(0, 2, 1)
+        return Slopes(each[:, 0], slopes[:, :, : self.d], slopes[:, :, self.d :])
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFormula(RowFormula):
+    """Outputs and derivatives by the models' own functions, one configuration after the other.
+
+    Derivatives by an input are central differences over the standard deviation of its noise (q,).
+    """
+
+    outputs: tuple[Output, ...]
+    names: tuple[str, ...]
+    columns: tuple[str, ...]
+    noise: Array
+    _places: list[tuple[list[int], list[int]]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        places = [
+            (
+                [self.names.index(name) for name in one.parameters],
+                [self.columns.index(name) for name in one.model.inputs],
+            )
+            for one in self.outputs
+        ]
+        object.__setattr__(self, "_places", places)
+
+    def at(self, thetas: Array, row: Array) -> Slopes:
+        """Return outputs and derivatives at configurations (K, d) and inputs (p,)."""
+        K, m, q = len(thetas), len(self.outputs), self.noise.size
+        made = Slopes(np.empty((m, K)), np.zeros((m, K, thetas.shape[1])), np.zeros((m, K, q)))
+        rows = np.tile(row, (1 + 2 * q, 1))  # the row, and its neighbours on both sides
+        for k in range(q):
+            rows[1 + 2 * k, k] += self.noise[k]
+            rows[2 + 2 * k, k] -= self.noise[k]
+        for o, (output, (own, inputs)) in enumerate(zip(self.outputs, self._places, strict=True)):
+            columns = [np.ascontiguousarray(rows[:, k]) for k in inputs]
+            single = [column[:1] for column in columns]
+            values = output.model.predict(thetas[:, own], *columns)
+            made.values[o] = values[:, 0]
+            made.inputs[o] = (values[:, 1::2] - values[:, 2::2]) / (2 * self.noise)
+            for k, theta in enumerate(thetas):
+                made.parameters[o, k, own] = output.model.jacobian(theta[own], *single)[0]
+        return made
+
+
+def row_formula(system: System, columns: Sequence[str], noise: Array) -> RowFormula:
+    """Return the formula of a system with these input columns, the first of which have noise (q,).
+
+    It is one tape if all models are expressions that can be traced.
+    """
+    tape = _traced(system, columns, noise.size)
+    if tape is None:
+        return ModelFormula(system.outputs, system.names, tuple(columns), noise)
+    return TapedFormula(tape, len(system.outputs), len(system.names), noise.size)
+
+
+def _traced(system: System, columns: Sequence[str], q: int) -> Tape | None:
+    inputs = {name: argument(f"x{k}") for k, name in enumerate(columns)}
+    parameters = {name: argument(f"p{k}") for k, name in enumerate(system.names)}
+    by = [*parameters.values(), *list(inputs.values())[:q]]
+    results: list[Symbol] = []
+    try:
+        for output in system.outputs:
+            model = output.model
+            if not isinstance(model, Expression):
+                return None
+            own = tuple(inputs[name] for name in model.inputs)
+            graph = trace(model.value, own, tuple(parameters[name] for name in output.parameters))
+            results += [graph, *gradient(graph, by)]
+        tape = tape_of(results, [*inputs.values(), *parameters.values()], ())
+        _ = tape.in_machine
+    except (NotAFormulaError, TapeError):
+        return None
+    return tape

@@ -1,0 +1,157 @@
+"""The state after an update, and the alarm that a change raises."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from miho.quantities import Array
+
+NEGLIGIBLE = 1e-6
+"""Share of a hypothesis below which it does not count in an interval."""
+BISECTIONS = 30
+
+
+class Mixture(NamedTuple):
+    """Normal distributions: weights (K,) of sum 1, means (K, d) and deviations (K, d)."""
+
+    weights: Array
+    means: Array
+    deviations: Array
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A detected change of a parameter.
+
+    Parameters
+    ----------
+    time : float
+        Time of the row that raised the alarm [s].
+    parameter : str
+        Name of the parameter that has changed most.
+    before, after : float
+        Its values before the change and at the alarm, in its unit.
+    standard_error : float
+        Standard error of their difference.
+    others : tuple of Alarm, optional
+        Further parameters that changed at the same time.
+
+    Examples
+    --------
+    >>> str(Alarm(12.4, "D", before=1000.0, after=690.0, standard_error=40.0))
+    'D fell by 31 ± 4 % at 12.4 s'
+    """
+
+    time: float
+    parameter: str
+    before: float
+    after: float
+    standard_error: float
+    others: tuple[Alarm, ...] = ()
+
+    def __str__(self) -> str:
+        return " and ".join(one.size for one in (self, *self.others)) + f" at {self.time:.1f} s"
+
+    @property
+    def size(self) -> str:
+        """The change in words, without its time."""
+        verb = "fell" if self.after < self.before else "rose"
+        change = abs(self.after - self.before)
+        if self.before == 0:
+            return f"{self.parameter} {verb} by {change:.2g} ± {self.standard_error:.1g}"
+        share = 100 / abs(self.before)
+        return (
+            f"{self.parameter} {verb} by {share * change:.0f} ± {share * self.standard_error:.0f} %"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerState:
+    """The parameters after an update.
+
+    Parameters
+    ----------
+    time : float
+        Time of the last row [s].
+    names : tuple of str
+        Names of the parameters.
+    theta : ndarray of shape (d,)
+        Estimates.
+    covariance : ndarray of shape (d, d)
+        Covariance of the estimates; NaN for a method without one.
+    identifiable : ndarray of bool, shape (d,)
+        Whether recent rows inform each parameter.
+    alarm : Alarm or None
+        The change that this update has detected.
+    odds : float
+        Logarithm of the odds that a parameter has changed since the last alarm; NaN for a method
+        without it.
+    rows : int
+        Number of all rows so far.
+    seconds : float
+        Duration of the update [s].
+    mixture : Mixture or None
+        The distribution of the parameters; None for a normal one.
+    scale : float
+        Factor of the intervals from `Tracker.calibrate`.
+    bounds : tuple of ndarray, optional
+        Lower and upper bounds (d,) each, which limit the intervals.
+    """
+
+    time: float
+    names: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    identifiable: NDArray[np.bool_]
+    alarm: Alarm | None = None
+    odds: float = math.nan
+    rows: int = 0
+    seconds: float = 0.0
+    mixture: Mixture | None = None
+    scale: float = 1.0
+    bounds: tuple[Array, Array] | None = None
+
+    @cached_property
+    def values(self) -> Mapping[str, float]:
+        """Estimates by name."""
+        return dict(zip(self.names, self.theta.tolist(), strict=True))
+
+    @cached_property
+    def deviations(self) -> Array:
+        """Standard deviations of the estimates (d,)."""
+        return np.asarray(self.scale * np.sqrt(np.diag(self.covariance)))
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Lower and upper ends (d, 2) of the intervals that have this probability."""
+        if self.mixture is None:
+            reach = float(scipy.special.ndtri((1 + level) / 2)) * self.deviations
+        else:
+            reach = self.scale * mixture_reach(self.theta, self.mixture, level)
+        ends = np.stack([self.theta - reach, self.theta + reach], axis=1)
+        return ends if self.bounds is None else np.clip(ends.T, *self.bounds).T
+
+
+def mixture_reach(centre: Array, mixture: Mixture, level: float) -> Array:
+    """Half widths (d,) of the intervals around `centre` that have the probability `level`."""
+    kept = mixture.weights > NEGLIGIBLE
+    weights = mixture.weights[kept, None] / mixture.weights[kept].sum()
+    away, deviations = mixture.means[kept] - centre, np.maximum(mixture.deviations[kept], 1e-300)
+    low = np.zeros(centre.size)
+    high = np.max(np.abs(away) + 40 * deviations, axis=0)
+    if len(weights) == 1 and not away.any():
+        return np.asarray(float(scipy.special.ndtri((1 + level) / 2)) * deviations[0])
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        inside = scipy.special.ndtr((middle - away) / deviations)
+        inside -= scipy.special.ndtr((-middle - away) / deviations)
+        enough = np.sum(weights * inside, axis=0) >= level
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    return np.asarray((low + high) / 2)

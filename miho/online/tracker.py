@@ -1,0 +1,344 @@
+"""The tracker: parameters that change while rows arrive, with intervals and an alarm."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from miho.data.dataset import Dataset
+from miho.identification.report import Report
+from miho.online.method import OnlineMethod, Problems, Rows, Running
+from miho.online.outputs import TIME, System, system_of
+from miho.online.population import Layout, Population, Rules
+from miho.online.prior import place_of, start_of
+from miho.online.slopes import RowFormula, row_formula
+from miho.online.state import Alarm, TrackerState
+from miho.quantities import Array
+from miho.validate import at_least, positive, whole
+
+JUMP = 0.35
+"""Share of its value by which a parameter may jump, unless `changes` says otherwise."""
+RECENT = 2.0
+"""Time for which a row counts as recent [s]."""
+Prior = Report | Mapping[str, tuple[float, float]] | None
+
+
+@dataclass(frozen=True)
+class TrackerSettings(OnlineMethod):
+    """Settings of a tracker.
+
+    Drifts are standard deviations of a random walk over one second, in jumps of the parameter.
+
+    Parameters
+    ----------
+    hazard : float, optional
+        Probability of a fresh hypothesis of a jump.
+    outliers : float, optional
+        Share of rows that are outliers.
+    width : float, optional
+        Variance of outliers, in variances of the noise.
+    threshold : float, optional
+        Logarithm of the odds of a change that raise the alarm.
+    near : float, optional
+        Smallest change that the alarm counts, in jumps.
+    drifts : tuple of float, optional
+        Drifts of hypotheses of long, middle and short memory.
+    use : float, optional
+        A row teaches a watched parameter if its information is at least this share of the best
+        row's.
+    smooth : float, optional
+        Memory of the mean and variance of inputs with noise [s].
+    hold : float, optional
+        Time after an alarm in which there is no other [s].
+    repeats : int, optional
+        An output that repeats this number of times to the last digit is frozen.
+    gap : float, optional
+        Longest time between two rows that counts as drift [s].
+    every : int, optional
+        Number of rows from one fresh hypothesis to the next.
+    slots : int, optional
+        Number of hypotheses.
+    cap : float, optional
+        Drift widens a parameter up to this variance, in squared jumps.
+    """
+
+    hazard: float = 1e-3
+    outliers: float = 0.02
+    width: float = 400.0
+    threshold: float = 3.0
+    near: float = 1 / 7
+    drifts: tuple[float, float, float] = (0.0043, 0.086, 0.43)
+    use: float = 0.4
+    smooth: float = 2.0
+    hold: float = 1.5
+    repeats: int = 2
+    gap: float = 10.0
+    every: int = 3
+    slots: int = 16
+    cap: float = 0.75
+
+    def __post_init__(self) -> None:
+        for name in ("hazard", "outliers"):
+            value = getattr(self, name)
+            if not 0 < value < 1:
+                raise ValueError(f"{name} is {value!r}; expected a number between 0 and 1")
+        for name in ("width", "near", "use", "smooth", "gap", "cap"):
+            positive(name, getattr(self, name))
+        at_least("hold", self.hold, 0.0)
+        whole("repeats", self.repeats, 1)
+        whole("every", self.every, 1)
+        whole("slots", self.slots, 4, 64)
+        drifts = tuple(self.drifts)
+        if len(drifts) != 3 or not all(0 <= drift < math.inf for drift in drifts):
+            raise ValueError(f"drifts is {self.drifts!r}; expected three numbers of at least 0")
+        object.__setattr__(self, "drifts", drifts)
+
+    def start(
+        self,
+        problem: Problems,
+        prior: Prior = None,
+        changes: Mapping[str, float] | None = None,
+        input_noise: Mapping[str, float] | None = None,
+        period: float = 0.02,
+    ) -> Tracker:
+        """Return a tracker that has seen no row; see `Tracker`."""
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Tracker(problem, prior, changes, input_noise, period, **own)
+
+
+class Tracker(Running):
+    """Parameters of a model that change while rows arrive, with intervals and an alarm.
+
+    A population of hypotheses, each of which is an estimate with its covariance and its time of
+    birth, is improved by one Gauss-Newton step per row and weighted by its predictive likelihood.
+    Fresh hypotheses are born from the best one with the variance of a jump, so a jump is found
+    within a few rows. The alarm is the odds of the hypotheses born since the last alarm.
+
+    Parameters
+    ----------
+    problem : CurveFit or sequence of CurveFit or Report
+        The model of each output, its bounds, and the standard deviation of its errors; or the
+        report of its fit, which is then the prior too. The rows of its data give the largest
+        information of a row on each parameter.
+    prior : Report or mapping of str to (value, standard deviation), optional
+        Knowledge from before; by default the middle of the bounds and a share of their width.
+    changes : mapping of str to float, optional
+        Parameters that may jump, and the share of their value by which they may; by default each
+        free parameter by 0.35. The alarm watches them.
+    input_noise : mapping of str to float, optional
+        Standard deviation of the noise of input columns, in their units.
+    period : float, optional
+        Time between two rows [s], for rows without a column "time".
+    **settings
+        Fields of `TrackerSettings`.
+
+    Raises
+    ------
+    ValueError
+        If problem, prior and settings do not fit together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> rng = np.random.default_rng(0)
+    >>> x = rng.uniform(0.5, 1.5, 200)
+    >>> y = np.where(np.arange(200) < 100, 2.0, 1.2) * x + 0.05 * rng.standard_normal(200)
+    >>> data = miho.Dataset("line", {"x": x[:50], "y": y[:50]}, {"x": "", "y": ""}, "y")
+    >>> space = miho.Space((miho.Parameter("a", "", 0, 5),))
+    >>> problem = miho.CurveFit(lambda x, *, a: a * x, data, space, sigma=0.05)
+    >>> tracker = miho.Tracker(problem, prior={"a": (2.0, 0.05)})
+    >>> states = [tracker.update({"x": x[k], "y": y[k]}) for k in range(200)]
+    >>> [str(state.alarm) for state in states if state.alarm]
+    ['a fell by 40 ± 5 % at 2.0 s']
+    >>> bool(abs(states[-1].values["a"] - 1.2) < 0.05)
+    True
+    """
+
+    def __init__(
+        self,
+        problem: Problems | Report,
+        prior: Prior = None,
+        changes: Mapping[str, float] | None = None,
+        input_noise: Mapping[str, float] | None = None,
+        period: float = 0.02,
+        **settings: Any,
+    ) -> None:
+        if isinstance(problem, Report):
+            problem, prior = problem.problem, problem if prior is None else prior
+        self.settings = _settings(settings)
+        positive("period", period)
+        self.period = float(period)
+        noise = prior.at.noise if isinstance(prior, Report) else None
+        self.system = system_of(problem, noise)
+        deviations = _noise_of(self.system, input_noise or {})
+        # Inputs with noise come first.
+        self.columns = (*deviations, *(n for n in self.system.inputs if n not in deviations))
+        theta, covariance = start_of(self.system, prior)
+        self._rules = _rules(self.settings, self.system, theta, covariance, changes, deviations)
+        self._scale = 1.0
+        formula = row_formula(self.system, self.columns, self._rules.noise)
+        d, m = len(self.system.names), len(self.system.outputs)
+        layout = Layout(self.settings.slots, d, m, len(deviations))
+        self._population = Population(layout, self._rules, formula, np.empty(layout.size))
+        self._population.begin(theta, covariance, _peak(self.system, self._rules, theta))
+        self._bounds = self._rules.low, self._rules.high
+        self._state: TrackerState | None = None
+
+    @property
+    def state(self) -> TrackerState:
+        """The state after the last row."""
+        if self._state is None:
+            self._state = self._snapshot(math.nan, None, 0.0)
+        return self._state
+
+    def update(self, rows: Rows) -> TrackerState:
+        """Take one or several rows, and return the state after the last of them.
+
+        Parameters
+        ----------
+        rows : Dataset or mapping of str
+            Columns by name: numbers for one row, arrays for several. The inputs and outputs of
+            the problem are needed, NaN for a missing value; "time" [s] is optional.
+
+        Returns
+        -------
+        TrackerState
+            Its alarm is the last one that these rows raised.
+
+        Raises
+        ------
+        ValueError
+            If a column is missing, or columns differ in length.
+        """
+        began = time.perf_counter()
+        alarm = None
+        for at, x, y in self._rows(rows):
+            self._population.update(at, x, y)
+            if self._population["alarm"]:
+                alarm = self._alarm(at)
+                self._population["since"] = self._population["row"] - 1
+        at = self._population["last_time"]
+        self._state = self._snapshot(at, alarm, time.perf_counter() - began)
+        return self._state
+
+    def _rows(self, rows: Rows) -> Iterator[tuple[float, Array, Array]]:
+        """The times, inputs and outputs of rows."""
+        columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
+        names = [*self.columns, *(output.column for output in self.system.outputs)]
+        try:
+            values = [np.atleast_1d(np.asarray(columns[name], dtype=float)) for name in names]
+        except KeyError as error:
+            raise ValueError(
+                f"rows: no column {error.args[0]!r}; expected {', '.join(names)}, and NaN for a "
+                "missing value"
+            ) from None
+        last = self._population["last_time"]
+        count = values[0].size
+        first = 0.0 if math.isnan(last) else last + self.period
+        times = columns.get(TIME, first + self.period * np.arange(count))
+        values.append(np.atleast_1d(np.asarray(times, dtype=float)))
+        for name, column in zip([*names, TIME], values, strict=True):
+            if column.shape != (count,):
+                raise ValueError(
+                    f"rows: column {name!r} has the shape {column.shape}; expected ({count},)"
+                )
+        p = len(self.columns)
+        for row in np.column_stack(values):
+            yield float(row[-1]), row[:p], row[p:-1]
+
+    def _alarm(self, at: float) -> Alarm:
+        """The alarm of the last row: the watched parameters that have changed, the most first."""
+        before, after, errors = self._population.changed()
+        sizes = np.abs(after - before) / self._rules.unit
+        order = [k for k in np.argsort(-sizes) if self._rules.watched[k]]
+        each = [
+            Alarm(at, self.system.names[k], float(before[k]), float(after[k]), float(errors[k]))
+            for k in order
+            if k == order[0]
+            or (sizes[k] > self._rules.near and abs(after[k] - before[k]) > 2 * errors[k])
+        ]
+        return replace(each[0], others=tuple(each[1:]))
+
+    def _snapshot(self, at: float, alarm: Alarm | None, seconds: float) -> TrackerState:
+        population = self._population
+        theta, covariance, mixture = population.estimate()
+        return TrackerState(
+            time=at,
+            names=self.system.names,
+            theta=theta,
+            covariance=covariance,
+            identifiable=population["clock"] - population.informed <= RECENT,
+            alarm=alarm,
+            odds=population["odds"],
+            rows=int(population["row"]),
+            seconds=seconds,
+            mixture=mixture,
+            scale=self._scale,
+            bounds=self._bounds,
+        )
+
+
+def _settings(settings: Mapping[str, Any]) -> TrackerSettings:
+    known = [field.name for field in fields(TrackerSettings)]
+    for name in settings:
+        if name not in known:
+            raise ValueError(f"Tracker: no setting {name!r}; expected one of {', '.join(known)}")
+    return TrackerSettings(**settings)
+
+
+def _noise_of(system: System, noise: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviations of inputs with noise."""
+    for name, deviation in noise.items():
+        if name not in system.inputs:
+            raise ValueError(
+                f"input_noise: no input {name!r}; expected one of {', '.join(system.inputs)}"
+            )
+        at_least(f"input_noise.{name}", deviation, 0.0)
+    return {name: float(deviation) for name, deviation in noise.items() if deviation > 0}
+
+
+def _rules(
+    settings: TrackerSettings,
+    system: System,
+    theta: Array,
+    covariance: Array,
+    changes: Mapping[str, float] | None,
+    noise: Mapping[str, float],
+) -> Rules:
+    if changes is None:
+        changes = dict.fromkeys(system.names, JUMP)
+    deviations = np.sqrt(np.diag(covariance))
+    unit, watched = deviations.copy(), np.zeros(theta.size)
+    for name, share in changes.items():
+        k = place_of("changes", name, system.names)
+        positive(f"changes.{name}", share)
+        watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
+    names = ("hazard", "outliers", "width", "threshold", "near", "use", "smooth", "hold", "gap",
+             "every", "repeats", "cap")  # fmt: skip
+    return Rules(
+        **{name: float(getattr(settings, name)) for name in names},
+        **dict(zip(("long", "middle", "short"), settings.drifts, strict=True)),
+        unit=unit,
+        low=system.space.low,
+        high=system.space.high,
+        watched=watched,
+        sigma=system.sigma,
+        noise=np.array([*noise.values()], dtype=float),
+    )
+
+
+def _peak(system: System, rules: Rules, theta: Array) -> Array:
+    """The largest information (d,) of a row of the offline data on each parameter."""
+    peak = np.zeros(theta.size)
+    for output in system.outputs:
+        own = [system.names.index(name) for name in output.parameters]
+        slopes = np.abs(output.model.jacobian(theta[own], *output.examples()))
+        largest = np.where(np.isfinite(slopes), slopes, 0.0).max(axis=0) * rules.unit[own]
+        peak[own] = np.hypot(peak[own], largest / output.sigma)
+    return peak
