@@ -77,8 +77,8 @@ machine = Extension(
     "miho.core._machine",
     [str(CORE / f"{name}.c") for name in
      ("module", "module_arrays", "module_climb", "module_many", "module_search",
-      "module_trajectory", "evaluate", "climb", "triangular", "steps", "descent", "bracket", "many",
-      "trajectory", "level_baseline",
+      "module_track", "module_trajectory", "evaluate", "climb", "triangular", "steps", "descent", "bracket", "many",
+      "track", "trajectory", "level_baseline",
       "level_avx2", "level_avx512")],
     depends=[str(path) for path in sorted(CORE.glob("*.h"))],
     extra_compile_args=FLAGS,

@@ -19,4 +19,7 @@ PyObject *py_fit_many(PyObject *module, PyObject *const *arguments, Py_ssize_t c
 extern const char solve_trajectories_doc[], derive_trajectory_doc[];
 PyObject *py_solve_trajectories(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 PyObject *py_derive_trajectory(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* module_track.c */
+extern const char track_doc[];
+PyObject *py_track(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 #endif

@@ -90,7 +90,8 @@ def machine() -> Any:
     except ImportError:
         sys.stderr.write(NOT_BUILT.format("the library was installed without a C compiler"))
         return None
-    whole = {"run_bracket", "solve_trajectories", "climb", "fit_many"} <= vars(built).keys()
+    functions = {"run_bracket", "solve_trajectories", "climb", "fit_many", "track"}
+    whole = functions <= vars(built).keys()
     if whole and built.operations() == tuple(OPERATIONS):
         return built
     sys.stderr.write(NOT_BUILT.format("the machine of formulas was built from other sources"))

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.online.slopes import RowFormula
+from miho.core import machine
+from miho.online.slopes import RowFormula, TapedFormula
 from miho.online.state import Mixture
 from miho.quantities import Array
 
@@ -33,12 +34,13 @@ counts as before a change, `gain` the information that the last row gave the bes
 class Layout:
     """Sizes of a population, and the place of each of its arrays in one memory of doubles.
 
-    K hypotheses of d parameters, m outputs, and q inputs with noise.
+    K hypotheses of d parameters, m outputs, and p inputs, the first q of which have noise.
     """
 
     K: int
     d: int
     m: int
+    p: int
     q: int
 
     @cached_property
@@ -56,6 +58,18 @@ class Layout:
     def size(self) -> int:
         """Length of the memory."""
         return sum(math.prod(shape) for shape in self.shapes.values())
+
+    @cached_property
+    def estimate_size(self) -> int:
+        """Length of an estimate: mean, covariance, and weights, means, deviations of hypotheses."""
+        return self.d + self.d**2 + self.K * (1 + 2 * self.d)
+
+    def estimate(self, numbers: Array) -> tuple[Array, Array, Mixture]:
+        """Mean (d,), covariance (d, d) and distribution as views of an estimate."""
+        K, d = self.K, self.d
+        at = d + d * d
+        weights, rest = numbers[at : at + K], numbers[at + K :].reshape(2, K, d)
+        return numbers[:d], numbers[d:at].reshape(d, d), Mixture(weights, rest[0], rest[1])
 
     def views(self, memory: Array) -> dict[str, Array]:
         """The arrays as views of a memory."""
@@ -100,7 +114,8 @@ class Rules:
     @cached_property
     def packed(self) -> Array:
         """All numbers in their order."""
-        return np.concatenate([np.atleast_1d(value) for value in vars(self).values()]).astype(float)
+        numbers = [np.atleast_1d(getattr(self, field.name)) for field in fields(self)]
+        return np.concatenate(numbers).astype(float)
 
 
 class Population:
@@ -114,11 +129,14 @@ class Population:
         Settings.
     formula : RowFormula
         The outputs of a row and their derivatives.
-    memory : ndarray
-        All numbers that change, (layout.size,).
+    by_machine : bool, optional
+        Whether the machine of formulas updates, if it can.
     """
 
-    def __init__(self, layout: Layout, rules: Rules, formula: RowFormula, memory: Array) -> None:
+    def __init__(
+        self, layout: Layout, rules: Rules, formula: RowFormula, by_machine: bool = True
+    ) -> None:
+        memory = np.zeros(layout.size)
         self.layout, self.rules, self.formula, self.memory = layout, rules, formula, memory
         views = layout.views(memory)
         self.numbers, self.theta, self.P, self.share = (
@@ -131,6 +149,9 @@ class Population:
             views[name] for name in ("peak", "informed", "mean", "variance")
         )
         self.last, self.repeats = views["last"], views["repeats"]
+        tape = formula.tape.in_machine if isinstance(formula, TapedFormula) and by_machine else None
+        sizes = layout.K, layout.d, layout.m, layout.p, layout.q
+        self._machine = None if tape is None else (machine().track, tape, sizes, rules.packed)
 
     def begin(self, theta: Array, covariance: Array, peak: Array) -> None:
         """Set three hypotheses, of long, middle and short memory, at the prior."""
@@ -152,9 +173,28 @@ class Population:
     def __setitem__(self, name: str, value: float) -> None:
         self.numbers[NUMBERS.index(name)] = value
 
-    def update(self, time: float, x: Array, y: Array) -> None:
-        """Take one row: its time [s], inputs (p,), with noise in the first q, and outputs (m,)."""
-        seconds = self._pass(time)
+    def update(self, row: Array) -> Array:
+        """Take one row, and return the estimate, (layout.estimate_size,).
+
+        A row has p inputs, the first q of which have noise, m outputs, and the time [s].
+        """
+        if self._machine is None:
+            self._take(row)
+            return self.estimate()
+        track, tape, sizes, rules = self._machine
+        estimate = np.empty(self.layout.estimate_size)
+        track(tape, sizes, rules, row, self.memory, estimate)
+        return estimate
+
+    def estimate(self) -> Array:
+        """Return the estimate, (layout.estimate_size,)."""
+        estimate = np.empty(self.layout.estimate_size)
+        self._estimate(estimate)
+        return estimate
+
+    def _take(self, numbers: Array) -> None:
+        x, y = numbers[: -1 - self.layout.m], numbers[-1 - self.layout.m : -1]
+        seconds = self._pass(float(numbers[-1]))
         usable = self._usable(x, y)
         self["gain"], self["alarm"] = 0.0, 0.0
         living = np.flatnonzero(self.weight > EMPTY)
@@ -215,7 +255,7 @@ class Population:
     def _learn(
         self, living: NDArray[np.intp], grown: Array, row: Array, noise: Array, y: Array
     ) -> NDArray[np.bool_]:
-        """Weigh and improve each hypothesis; returns which (K,) may be taught a watched parameter."""
+        """Weigh and improve each hypothesis; returns those (K,) that a watched parameter learns."""
         rules = self.rules
         slopes = self.formula.at(self.theta, row)
         J = slopes.parameters * rules.unit
@@ -319,18 +359,18 @@ class Population:
             variance += self.P[early[np.argmax(self.weight[early])]].diagonal()
         return before, after, self.rules.unit * np.sqrt(variance)
 
-    def estimate(self) -> tuple[Array, Array, Mixture]:
-        """Mean (d,), covariance (d, d) and distribution of the parameters.
+    def _estimate(self, numbers: Array) -> None:
+        """Write mean, covariance and distribution of the parameters.
 
         The drift of a long memory is a way to forget, not a belief: its variance counts by `share`.
         """
-        weights = np.exp(self.weight)
-        weights /= weights.sum()
+        mean, covariance, mixture = self.layout.estimate(numbers)
+        mixture.weights[:] = np.exp(self.weight) / np.exp(self.weight).sum()
         long = (self.drift <= self.rules.long)[:, None]
         roots = self.rules.unit * np.sqrt(np.where(long, self.share, 1.0))
-        mean = weights @ self.theta
+        mean[:] = mixture.weights @ self.theta
         away = self.theta - mean
-        covariance = np.einsum("s,sij,si,sj->ij", weights, self.P, roots, roots)
-        covariance += (away.T * weights) @ away
-        deviations = roots * np.sqrt(np.maximum(self.P.diagonal(axis1=1, axis2=2), 0.0))
-        return mean, covariance, Mixture(weights, self.theta.copy(), deviations)
+        covariance[:] = np.einsum("s,sij,si,sj->ij", mixture.weights, self.P, roots, roots)
+        covariance += (away.T * mixture.weights) @ away
+        mixture.means[:] = self.theta
+        mixture.deviations[:] = roots * np.sqrt(np.maximum(self.P.diagonal(axis1=1, axis2=2), 0.0))

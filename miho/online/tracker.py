@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ from miho.online.method import OnlineMethod, Problems, Rows, Running
 from miho.online.outputs import TIME, System, system_of
 from miho.online.population import Layout, Population, Rules
 from miho.online.prior import place_of, start_of
-from miho.online.slopes import RowFormula, row_formula
+from miho.online.slopes import row_formula
 from miho.online.state import Alarm, TrackerState
 from miho.quantities import Array
 from miho.validate import at_least, positive, whole
@@ -184,9 +185,10 @@ class Tracker(Running):
         self._scale = 1.0
         formula = row_formula(self.system, self.columns, self._rules.noise)
         d, m = len(self.system.names), len(self.system.outputs)
-        layout = Layout(self.settings.slots, d, m, len(deviations))
-        self._population = Population(layout, self._rules, formula, np.empty(layout.size))
+        layout = Layout(self.settings.slots, d, m, len(self.columns), len(deviations))
+        self._population = Population(layout, self._rules, formula)
         self._population.begin(theta, covariance, _peak(self.system, self._rules, theta))
+        self._names = [*self.columns, *(output.column for output in self.system.outputs)]
         self._bounds = self._rules.low, self._rules.high
         self._state: TrackerState | None = None
 
@@ -194,7 +196,7 @@ class Tracker(Running):
     def state(self) -> TrackerState:
         """The state after the last row."""
         if self._state is None:
-            self._state = self._snapshot(math.nan, None, 0.0)
+            self._state = self._snapshot(self._population.estimate(), None, 0.0)
         return self._state
 
     def update(self, rows: Rows) -> TrackerState:
@@ -217,40 +219,42 @@ class Tracker(Running):
             If a column is missing, or columns differ in length.
         """
         began = time.perf_counter()
-        alarm = None
-        for at, x, y in self._rows(rows):
-            self._population.update(at, x, y)
+        alarm, estimate = None, None
+        for row in self._rows(rows):
+            estimate = self._population.update(row)
             if self._population["alarm"]:
-                alarm = self._alarm(at)
+                alarm = self._alarm(float(row[-1]))
                 self._population["since"] = self._population["row"] - 1
-        at = self._population["last_time"]
-        self._state = self._snapshot(at, alarm, time.perf_counter() - began)
-        return self._state
+        if estimate is not None:
+            self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
+        return self.state
 
-    def _rows(self, rows: Rows) -> Iterator[tuple[float, Array, Array]]:
-        """The times, inputs and outputs of rows."""
+    def _rows(self, rows: Rows) -> Array:
+        """Rows (n, p + m + 1) of inputs, outputs and time."""
         columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
-        names = [*self.columns, *(output.column for output in self.system.outputs)]
+        last = self._population["last_time"]
+        first = 0.0 if math.isnan(last) else last + self.period
         try:
-            values = [np.atleast_1d(np.asarray(columns[name], dtype=float)) for name in names]
+            numbers = [columns[name] for name in self._names]
         except KeyError as error:
             raise ValueError(
-                f"rows: no column {error.args[0]!r}; expected {', '.join(names)}, and NaN for a "
-                "missing value"
+                f"rows: no column {error.args[0]!r}; expected {', '.join(self._names)}, and NaN "
+                "for a missing value"
             ) from None
-        last = self._population["last_time"]
+        if isinstance(numbers[0], float | int):
+            numbers.append(columns.get(TIME, first))
+            with contextlib.suppress(TypeError, ValueError):
+                return np.array([numbers], dtype=float)
+        values = [np.atleast_1d(np.asarray(column, dtype=float)) for column in numbers]
         count = values[0].size
-        first = 0.0 if math.isnan(last) else last + self.period
         times = columns.get(TIME, first + self.period * np.arange(count))
         values.append(np.atleast_1d(np.asarray(times, dtype=float)))
-        for name, column in zip([*names, TIME], values, strict=True):
+        for name, column in zip([*self._names, TIME], values, strict=False):
             if column.shape != (count,):
                 raise ValueError(
                     f"rows: column {name!r} has the shape {column.shape}; expected ({count},)"
                 )
-        p = len(self.columns)
-        for row in np.column_stack(values):
-            yield float(row[-1]), row[:p], row[p:-1]
+        return np.column_stack(values[: len(self._names)] + values[-1:])
 
     def _alarm(self, at: float) -> Alarm:
         """The alarm of the last row: the watched parameters that have changed, the most first."""
@@ -265,11 +269,11 @@ class Tracker(Running):
         ]
         return replace(each[0], others=tuple(each[1:]))
 
-    def _snapshot(self, at: float, alarm: Alarm | None, seconds: float) -> TrackerState:
+    def _snapshot(self, estimate: Array, alarm: Alarm | None, seconds: float) -> TrackerState:
         population = self._population
-        theta, covariance, mixture = population.estimate()
+        theta, covariance, mixture = population.layout.estimate(estimate)
         return TrackerState(
-            time=at,
+            time=population["last_time"],
             names=self.system.names,
             theta=theta,
             covariance=covariance,

@@ -1,0 +1,48 @@
+/* Interface of tracking. All sizes are checked here. */
+#include <string.h>
+#include "module_arrays.h"
+#include "track.h"
+
+/* (K, d, m, p, q), which the tape must have. */
+static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_sizes *to) {
+    int64_t *each[] = {&to->K, &to->d, &to->m, &to->p, &to->q};
+    if (!PyCapsule_IsValid(capsule, "tape")) return refuse(all, "the first argument is no tape");
+    to->tape = PyCapsule_GetPointer(capsule, "tape");
+    for (int k = 0; k < 5; k++) {
+        PyObject *size = field_of(all, sizes, k, 5, "sizes");
+        if (!size) return 0;
+        *each[k] = PyLong_AsLongLong(size);
+        if (PyErr_Occurred()) return 0;
+        if (*each[k] < (k < 4) || *each[k] > (k ? MOST_TRACKED : MOST_SLOTS))
+            return refuse(all, "a size is out of bounds");
+    }
+    if (to->q > to->p) return refuse(all, "expected no more noise than inputs");
+    if (to->tape->inputs != to->p + to->d || to->tape->parameters ||
+        to->tape->results != to->m * (1 + to->d + to->q))
+        return refuse(all, "the tape has other columns or results than expected");
+    return 1;
+}
+
+const char track_doc[] =
+    "track(tape, sizes (K, d, m, p, q), rules, row (p + m + 1,), memory, estimate): update the "
+    "memory by a row, and fill the estimate. See track.h.";
+PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
+    if (count != 6) return PyErr_Format(PyExc_TypeError, "track takes 6 arguments");
+    arrays all;
+    all.caller = "track";
+    all.count = 0;
+    all.tape[0] = all.tape[1] = NULL;
+    track_sizes of;
+    double *rules, *row, *memory, *estimate;
+    int taken = take_sizes(a[0], a[1], &all, &of) &&
+        (rules = vector_of(&all, a[2], "rules", 'd', length_of_rules(&of))) &&
+        (row = vector_of(&all, a[3], "row", 'd', of.p + of.m + 1)) &&
+        (memory = vector_of(&all, a[4], "memory", 'D', length_of_memory(&of))) &&
+        (estimate = vector_of(&all, a[5], "estimate", 'D', length_of_estimate(&of))) &&
+        are_apart(&all);
+    int done = taken && track_update(&of, rules, row, memory, estimate);
+    release_arrays(&all);
+    if (!taken) return NULL;
+    if (!done) return PyErr_NoMemory();
+    Py_RETURN_NONE;
+}

@@ -1,0 +1,420 @@
+/* Population of hypotheses, see track.h. Nothing in its memory is an index, so that no content can
+   lead out of bounds. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "elementary.h"
+#include "track.h"
+
+#define EMPTY (-1e9)
+#define LEAST_WEIGHT (-1e6)
+#define SMALLEST 1e-300
+#define LARGEST_NOISE 1e6
+#define RISE 1.02
+
+enum { ROW, CLOCK, LAST_TIME, SINCE, QUIET_UNTIL, TURN, ODDS, ALARM, GAIN, NUMBERS };
+enum { HAZARD, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
+       GAP, EVERY, CAP, RULES };
+
+typedef struct {
+    const double *number, *unit, *low, *high, *watched, *sigma, *noise;
+} rules_of;
+
+typedef struct {
+    double *number, *theta, *P, *share, *weight, *drift, *born, *was, *peak, *informed, *mean,
+        *variance, *last, *repeats;
+} population;
+
+/* Room for one update: columns and results of the tape, inputs and their noise, usable outputs, and
+   shares of the variance that are new. The others are of one hypothesis. */
+typedef struct {
+    double *X, *results, *row, *noise, *y, *grown;
+    double *before, *taught, *Pj, *step;
+    uint8_t *teaches, *is_free;
+    int any;
+} desk;
+
+int64_t length_of_memory(const track_sizes *of) {
+    int64_t K = of->K, d = of->d;
+    return NUMBERS + K * (d * d + 3 * d + 3) + 2 * d + 2 * of->q + 2 * (of->q + of->m);
+}
+int64_t length_of_rules(const track_sizes *of) { return RULES + 4 * of->d + of->m + of->q; }
+int64_t length_of_estimate(const track_sizes *of) {
+    return of->d + of->d * of->d + of->K * (1 + 2 * of->d);
+}
+
+static double *next(double **at, int64_t n) {
+    double *here = *at;
+    *at += n;
+    return here;
+}
+
+static population population_in(const track_sizes *of, double *memory) {
+    int64_t K = of->K, d = of->d, q = of->q, seen = q + of->m;
+    double *at = memory;
+    population p;
+    p.number = next(&at, NUMBERS);
+    p.theta = next(&at, K * d);
+    p.P = next(&at, K * d * d);
+    p.share = next(&at, K * d);
+    p.weight = next(&at, K);
+    p.drift = next(&at, K);
+    p.born = next(&at, K);
+    p.was = next(&at, K * d);
+    p.peak = next(&at, d);
+    p.informed = next(&at, d);
+    p.mean = next(&at, q);
+    p.variance = next(&at, q);
+    p.last = next(&at, seen);
+    p.repeats = next(&at, seen);
+    return p;
+}
+
+static rules_of rules_in(const track_sizes *of, const double *rules) {
+    int64_t d = of->d;
+    const double *unit = rules + RULES;
+    return (rules_of){rules, unit, unit + d, unit + 2 * d, unit + 3 * d, unit + 4 * d,
+                      unit + 4 * d + of->m};
+}
+
+static int open_desk(const track_sizes *of, desk *to) {
+    int64_t K = of->K, d = of->d, each = 1 + d + of->q;
+    int64_t columns = (of->p + d) * K, results = of->m * each * K;
+    int64_t count = columns + results + of->p + of->q + of->m + K * d + 4 * d;
+    double *at = malloc((size_t)count * sizeof(double) + (size_t)(K + d));
+    if (!at) return 0;
+    to->X = next(&at, columns);
+    to->results = next(&at, results);
+    to->row = next(&at, of->p);
+    to->noise = next(&at, of->q);
+    to->y = next(&at, of->m);
+    to->grown = next(&at, K * d);
+    to->before = next(&at, d);
+    to->taught = next(&at, d);
+    to->Pj = next(&at, d);
+    to->step = next(&at, d);
+    to->teaches = (uint8_t *)at;
+    to->is_free = to->teaches + K;
+    memset(to->teaches, 0, (size_t)K);
+    return 1;
+}
+
+static double result_of(const track_sizes *of, const desk *at, int64_t o, int64_t which,
+                        int64_t s) {
+    return at->results[(o * (1 + of->d + of->q) + which) * of->K + s];
+}
+
+/* Advance the clock; returns the seconds that have passed. */
+static double pass_time(population *at, const rules_of *rules, double time) {
+    double passed = time - at->number[LAST_TIME];
+    passed = passed > 0.0 ? passed : 0.0;
+    if (passed > rules->number[GAP]) passed = rules->number[GAP];
+    at->number[LAST_TIME] = time;
+    at->number[CLOCK] += passed;
+    return passed;
+}
+
+/* Note a value; returns whether it is finite and does not repeat. */
+static int is_fresh(population *at, const rules_of *rules, int64_t k, double value) {
+    at->repeats[k] = value == at->last[k] ? at->repeats[k] + 1.0 : 0.0;
+    at->last[k] = value;
+    return isfinite(value) && at->repeats[k] < rules->number[REPEATS];
+}
+
+/* Set the usable outputs, NaN for the others. */
+static void select_usable(const track_sizes *of, population *at, const rules_of *rules,
+                          const double *row, desk *to) {
+    int good = 1;
+    to->any = 0;
+    for (int64_t k = 0; k < of->p; k++) good &= isfinite(row[k]) != 0;
+    for (int64_t k = 0; k < of->q; k++) good &= is_fresh(at, rules, k, row[k]);
+    for (int64_t o = 0; o < of->m; o++) {
+        int fresh = is_fresh(at, rules, of->q + o, row[of->p + o]);
+        to->y[o] = good && fresh ? row[of->p + o] : NOT_A_NUMBER;
+        to->any |= good && fresh;
+    }
+}
+
+/* Regression calibration of the inputs with noise. */
+static void smooth_inputs(const track_sizes *of, population *at, const rules_of *rules,
+                          const double *row, double seconds, desk *to) {
+    double b = seconds / rules->number[SMOOTH], first = 1.0 / (at->number[ROW] + 1.0);
+    b = b < 1.0 ? b : 1.0;
+    b = b > first ? b : first;
+    memcpy(to->row, row, (size_t)of->p * sizeof(double));
+    for (int64_t k = 0; k < of->q; k++) {
+        double square = rules->noise[k] * rules->noise[k];
+        if (isinf(at->variance[k])) {
+            at->mean[k] = row[k];
+            at->variance[k] = LARGEST_NOISE * square;
+        } else {
+            double away = row[k] - at->mean[k];
+            at->mean[k] += b * away;
+            at->variance[k] = (1.0 - b) * (at->variance[k] + b * (away * away));
+        }
+        double kept = 1.0 - square / at->variance[k];
+        kept = kept > 0.0 ? kept : 0.0;
+        to->row[k] = at->mean[k] + kept * (row[k] - at->mean[k]);
+        to->noise[k] = rules->noise[k] * sqrt(kept);
+    }
+}
+
+static void let_drift(const track_sizes *of, population *at, const rules_of *rules,
+                      double seconds, desk *to) {
+    int64_t d = of->d;
+    for (int64_t s = 0; s < of->K; s++) {
+        double more = at->drift[s] * at->drift[s] * seconds;
+        if (at->weight[s] <= EMPTY) continue;
+        for (int64_t i = 0; i < d; i++) {
+            double *variance = at->P + (s * d + i) * d + i;
+            double added = *variance < rules->number[CAP] ? more : 0.0;
+            *variance += added;
+            to->grown[s * d + i] = added / (*variance > SMALLEST ? *variance : SMALLEST);
+        }
+    }
+}
+
+static void run_tape(const track_sizes *of, const population *at, workspace *room, desk *to) {
+    int64_t K = of->K, d = of->d;
+    for (int64_t k = 0; k < of->p; k++)
+        for (int64_t s = 0; s < K; s++) to->X[k * K + s] = to->row[k];
+    for (int64_t i = 0; i < d; i++)
+        for (int64_t s = 0; s < K; s++) to->X[(of->p + i) * K + s] = at->theta[s * d + i];
+    double none = 0.0;
+    tape_start(of->tape, &none, room);
+    tape_continue(of->tape, to->X, K, K, to->results, K, room);
+}
+
+/* The information of the row on a parameter. */
+static double information_of(const track_sizes *of, const rules_of *rules, const desk *at,
+                             int64_t s, int64_t i) {
+    double sum = 0.0;
+    for (int64_t o = 0; o < of->m; o++) {
+        double j = result_of(of, at, o, 1 + i, s) * rules->unit[i] / rules->sigma[o];
+        sum += j * j;
+    }
+    return sqrt(sum);
+}
+
+/* Note the information of a row, and the parameters that it informs. */
+static void note(const track_sizes *of, population *at, const rules_of *rules, const desk *from,
+                 int64_t best) {
+    for (int64_t i = 0; i < of->d; i++)
+        if (!isfinite(information_of(of, rules, from, best, i))) return;
+    for (int64_t i = 0; i < of->d; i++) {
+        double information = information_of(of, rules, from, best, i), peak = at->peak[i];
+        double raised = peak > 0.0 && information > RISE * peak ? RISE * peak : information;
+        if (raised > peak) at->peak[i] = raised;
+        if (information > 0.0 && information >= rules->number[USE] * at->peak[i])
+            at->informed[i] = at->number[CLOCK];
+    }
+}
+
+/* One Gauss-Newton step by output o of hypothesis s; returns the information on all parameters. */
+static double step_by(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                      int64_t o, int64_t s) {
+    int64_t d = of->d;
+    double *theta = at->theta + s * d, *P = at->P + s * d * d, *j = to->step;
+    double r = rules->sigma[o] * rules->sigma[o], S = 0.0;
+    double e = to->y[o] - result_of(of, to, o, 0, s);
+    for (int64_t k = 0; k < of->q; k++) {
+        double slope = result_of(of, to, o, 1 + d + k, s) * to->noise[k];
+        r += slope * slope;
+    }
+    for (int64_t i = 0; i < d; i++) {
+        j[i] = result_of(of, to, o, 1 + i, s) * rules->unit[i];
+        e -= j[i] * ((theta[i] - to->before[i]) / rules->unit[i]);
+    }
+    for (int64_t i = 0; i < d; i++) {
+        double sum = 0.0;
+        for (int64_t l = 0; l < d; l++) sum += P[i * d + l] * j[l];
+        to->Pj[i] = sum;
+        S += j[i] * sum;
+    }
+    S += r;
+    double share = rules->number[OUTLIERS], wide = S + rules->number[WIDTH] * r;
+    double inlier = (1.0 - share) * exp_of(-0.5 * e * e / S) / sqrt(S);
+    double both = inlier + share * exp_of(-0.5 * e * e / wide) / sqrt(wide) + SMALLEST;
+    at->weight[s] += log_of(both);
+    double kept = inlier / both;
+    kept = kept > 1.0 / LARGEST_NOISE ? kept : 1.0 / LARGEST_NOISE;
+    double information = kept * (S / r - 1.0);
+    S /= kept;
+    for (int64_t i = 0; i < d; i++) {
+        double gain = to->is_free[i] ? to->Pj[i] / S : 0.0;
+        to->taught[i] += gain * j[i];
+        double moved = theta[i] + rules->unit[i] * gain * e;
+        moved = moved < rules->low[i] ? rules->low[i] : moved;
+        theta[i] = moved > rules->high[i] ? rules->high[i] : moved;
+        to->step[i] = gain;
+    }
+    for (int64_t i = 0; i < d; i++)
+        for (int64_t l = 0; l <= i; l++) {
+            double g = to->step[i], h = to->step[l];
+            P[i * d + l] += S * (g * h) - g * to->Pj[l] - to->Pj[i] * h;
+            P[l * d + i] = P[i * d + l];
+        }
+    return information;
+}
+
+/* Weigh and improve a hypothesis by all outputs. */
+static void learn(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                  int64_t s, int is_best) {
+    int64_t d = of->d, each = 1 + d + of->q;
+    double information = 0.0;
+    for (int64_t i = 0; i < d; i++) {
+        int enough = information_of(of, rules, to, s, i) >= rules->number[USE] * at->peak[i];
+        to->is_free[i] = enough || rules->watched[i] == 0.0;
+        to->teaches[s] |= enough && rules->watched[i] > 0.0;
+        to->taught[i] = 0.0;
+        to->before[i] = at->theta[s * d + i];
+    }
+    for (int64_t k = 0; k < of->m * each; k++)
+        if (k % each <= d && !isfinite(to->results[k * of->K + s])) {
+            at->weight[s] += log_of(SMALLEST);
+            return;
+        }
+    for (int64_t o = 0; o < of->m; o++)
+        if (!isnan(to->y[o])) information += step_by(of, at, rules, to, o, s);
+    for (int64_t i = 0; i < d; i++) {
+        double *share = at->share + s * d + i, grown = to->grown[s * d + i];
+        double taught = to->taught[i] > 0.0 ? to->taught[i] : 0.0;
+        taught = taught < 1.0 ? taught : 1.0;
+        *share *= (1.0 - (grown < taught ? grown : taught)) * (1.0 - taught);
+        *share += taught;
+    }
+    if (is_best) at->number[GAIN] = information;
+}
+
+static int64_t best_of(const track_sizes *of, const population *at) {
+    int64_t best = 0;
+    for (int64_t s = 1; s < of->K; s++)
+        if (at->weight[s] > at->weight[best]) best = s;
+    return best;
+}
+
+/* Whether a hypothesis was born after the last alarm and differs from the one it departed from. */
+static int is_change(const track_sizes *of, const population *at, const rules_of *rules,
+                     int64_t s) {
+    if (!(at->born[s] > at->number[SINCE])) return 0;
+    for (int64_t i = 0; i < of->d; i++) {
+        double away = fabs(at->theta[s * of->d + i] - at->was[s * of->d + i]);
+        if (rules->watched[i] > 0.0 && away > rules->number[NEAR] * rules->unit[i]) return 1;
+    }
+    return 0;
+}
+
+/* Weigh a change against none; returns the best hypothesis, and the best of no change. */
+static int64_t judge(const track_sizes *of, population *at, const rules_of *rules,
+                     int64_t *first) {
+    int64_t best = best_of(of, at);
+    double top = at->weight[best], changed = SMALLEST, same = SMALLEST;
+    *first = -1;
+    for (int64_t s = 0; s < of->K; s++) {
+        if (at->weight[s] <= EMPTY) continue;
+        double weight = at->weight[s] - top;
+        at->weight[s] = weight > LEAST_WEIGHT ? weight : LEAST_WEIGHT;
+        *(is_change(of, at, rules, s) ? &changed : &same) += exp_of(at->weight[s]);
+        int early = !(at->born[s] > at->number[SINCE]);
+        if (early && (*first < 0 || at->weight[s] > at->weight[*first])) *first = s;
+    }
+    if (*first < 0) *first = best;
+    at->number[ODDS] = log_of(changed / same);
+    if (at->number[CLOCK] < at->number[QUIET_UNTIL]) at->number[SINCE] = at->number[ROW];
+    else if (at->number[ODDS] > rules->number[THRESHOLD]) {
+        at->number[ALARM] = 1.0;
+        at->number[QUIET_UNTIL] = at->number[CLOCK] + rules->number[HOLD];
+    }
+    return best;
+}
+
+/* Put a fresh hypothesis of a jump in the place of the least likely one. */
+static void bear(const track_sizes *of, population *at, const rules_of *rules, int64_t best,
+                 int64_t first) {
+    int64_t d = of->d, slot = -1;
+    for (int64_t s = 0; s < of->K; s++) {
+        int able = s != best && s != first;
+        able = able && at->number[ROW] - at->born[s] > rules->number[EVERY];
+        if (able && (slot < 0 || at->weight[s] < at->weight[slot])) slot = s;
+    }
+    if (slot < 0) return;
+    size_t line = (size_t)d * sizeof(double);
+    const double *from = at->born[best] <= at->number[SINCE] ? at->theta : at->was;
+    memcpy(at->was + slot * d, from + best * d, line);
+    memcpy(at->theta + slot * d, at->theta + best * d, line);
+    memcpy(at->P + slot * d * d, at->P + best * d * d, (size_t)d * line);
+    for (int64_t i = 0; i < d; i++) {
+        at->P[(slot * d + i) * d + i] += 1.0;
+        at->share[slot * d + i] = 1.0;
+    }
+    int third = fmod(at->number[TURN], 3.0) == 2.0;
+    at->drift[slot] = rules->number[third ? MIDDLE : LONG];
+    at->born[slot] = at->number[ROW];
+    at->weight[slot] = log_of(rules->number[HAZARD]);
+    at->number[TURN] += 1.0;
+}
+
+void track_estimate(const track_sizes *of, const double *numbers, double *memory,
+                    double *estimate) {
+    rules_of rules = rules_in(of, numbers);
+    population at = population_in(of, memory);
+    int64_t K = of->K, d = of->d;
+    double *to = estimate, total = 0.0;
+    double *mean = next(&to, d), *covariance = next(&to, d * d), *weights = next(&to, K);
+    double *means = next(&to, K * d), *deviations = next(&to, K * d);
+    for (int64_t s = 0; s < K; s++) total += weights[s] = exp_of(at.weight[s]);
+    memset(mean, 0, (size_t)(d + d * d) * sizeof(double));
+    for (int64_t s = 0; s < K; s++) {
+        weights[s] /= total;
+        int is_long = at.drift[s] <= rules.number[LONG];
+        for (int64_t i = 0; i < d; i++) {
+            double variance = at.P[(s * d + i) * d + i];
+            double share = is_long ? at.share[s * d + i] : 1.0;
+            mean[i] += weights[s] * at.theta[s * d + i];
+            deviations[s * d + i] = rules.unit[i] * sqrt(share);
+            means[s * d + i] = variance > 0.0 ? sqrt(variance) : 0.0;
+        }
+        for (int64_t i = 0; i < d && weights[s] > 0.0; i++)
+            for (int64_t l = 0; l < d; l++)
+                covariance[i * d + l] += weights[s] * at.P[(s * d + i) * d + l] *
+                    deviations[s * d + i] * deviations[s * d + l];
+    }
+    for (int64_t s = 0; s < K; s++) {
+        for (int64_t i = 0; i < d && weights[s] > 0.0; i++)
+            for (int64_t l = 0; l < d; l++)
+                covariance[i * d + l] += weights[s] * (at.theta[s * d + i] - mean[i]) *
+                    (at.theta[s * d + l] - mean[l]);
+        for (int64_t i = 0; i < d; i++) deviations[s * d + i] *= means[s * d + i];
+    }
+    memcpy(means, at.theta, (size_t)(K * d) * sizeof(double));
+}
+
+int track_update(const track_sizes *of, const double *numbers, const double *row, double *memory,
+                 double *estimate) {
+    rules_of rules = rules_in(of, numbers);
+    population at = population_in(of, memory);
+    desk to;
+    if (!open_desk(of, &to)) return 0;
+    workspace *room = tape_open(of->tape, of->K);
+    if (!room) { free(to.X); return 0; }
+    double seconds = pass_time(&at, &rules, row[of->p + of->m]);
+    select_usable(of, &at, &rules, row, &to);
+    at.number[GAIN] = at.number[ALARM] = 0.0;
+    let_drift(of, &at, &rules, seconds, &to);
+    if (to.any) {
+        int64_t before = best_of(of, &at);
+        smooth_inputs(of, &at, &rules, row, seconds, &to);
+        run_tape(of, &at, room, &to);
+        note(of, &at, &rules, &to, before);
+        for (int64_t s = 0; s < of->K; s++)
+            if (at.weight[s] > EMPTY) learn(of, &at, &rules, &to, s, s == before);
+    }
+    int64_t first, best = judge(of, &at, &rules, &first);
+    int due = fmod(at.number[ROW], rules.number[EVERY]) == 0.0;
+    if (to.any && due && to.teaches[best]) bear(of, &at, &rules, best, first);
+    at.number[ROW] += 1.0;
+    track_estimate(of, numbers, memory, estimate);
+    tape_close(room);
+    free(to.X);
+    return 1;
+}
