@@ -235,6 +235,7 @@ static PyMethodDef methods[] = {
     {"solve_trajectories", FAST(py_solve_trajectories), solve_trajectories_doc},
     {"derive_trajectory", FAST(py_derive_trajectory), derive_trajectory_doc},
     {"track", FAST(py_track), track_doc},
+    {"mixture_reach", FAST(py_mixture_reach), mixture_reach_doc},
     {"address", py_address, METH_O, address_doc},
     {"functions", py_functions, METH_NOARGS, functions_doc},
     {"levels", py_levels, METH_NOARGS, levels_doc},

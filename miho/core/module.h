@@ -20,6 +20,7 @@ extern const char solve_trajectories_doc[], derive_trajectory_doc[];
 PyObject *py_solve_trajectories(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 PyObject *py_derive_trajectory(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 /* module_track.c */
-extern const char track_doc[];
+extern const char track_doc[], mixture_reach_doc[];
 PyObject *py_track(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+PyObject *py_mixture_reach(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 #endif

@@ -23,15 +23,20 @@ static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_siz
     return 1;
 }
 
+/* Without filling the room for all views, which costs as much as an update. */
+static void begin(arrays *all, const char *caller) {
+    all->caller = caller;
+    all->count = 0;
+    all->tape[0] = all->tape[1] = NULL;
+}
+
 const char track_doc[] =
     "track(tape, sizes (K, d, m, p, q), rules, row (p + m + 1,), memory, estimate): update the "
     "memory by a row, and fill the estimate. See track.h.";
 PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 6) return PyErr_Format(PyExc_TypeError, "track takes 6 arguments");
     arrays all;
-    all.caller = "track";
-    all.count = 0;
-    all.tape[0] = all.tape[1] = NULL;
+    begin(&all, "track");
     track_sizes of;
     double *rules, *row, *memory, *estimate;
     int taken = take_sizes(a[0], a[1], &all, &of) &&
@@ -44,5 +49,32 @@ PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     release_arrays(&all);
     if (!taken) return NULL;
     if (!done) return PyErr_NoMemory();
+    Py_RETURN_NONE;
+}
+
+const char mixture_reach_doc[] =
+    "mixture_reach(weights (n,), means (n, d), deviations (n, d), centre (d,), probability, out "
+    "(d,)): fill out with half widths of intervals.";
+PyObject *py_mixture_reach(PyObject *module, PyObject *const *a, Py_ssize_t count) {
+    if (count != 6) return PyErr_Format(PyExc_TypeError, "mixture_reach takes 6 arguments");
+    arrays all;
+    begin(&all, "mixture_reach");
+    mixture of;
+    double *centre, *out;
+    int64_t shape[] = {-1, -1};
+    double probability = PyFloat_AsDouble(a[4]);
+    int taken = !PyErr_Occurred() &&
+        (of.means = array_of(&all, a[1], "means", 'd', 2, shape)) &&
+        (of.deviations = array_of(&all, a[2], "deviations", 'd', 2, shape)) &&
+        (of.weights = vector_of(&all, a[0], "weights", 'd', shape[0])) &&
+        (centre = vector_of(&all, a[3], "centre", 'd', shape[1])) &&
+        (out = vector_of(&all, a[5], "out", 'D', shape[1])) && are_apart(&all);
+    if (taken) {
+        of.n = shape[0];
+        of.d = shape[1];
+        mixture_reach(&of, centre, probability, out);
+    }
+    release_arrays(&all);
+    if (!taken) return NULL;
     Py_RETURN_NONE;
 }

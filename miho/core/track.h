@@ -25,6 +25,12 @@ int64_t length_of_estimate(const track_sizes *of);
    covariance (d, d), weights (K,), means (K, d) and deviations (K, d). 0 without memory. */
 int track_update(const track_sizes *of, const double *rules, const double *row, double *memory,
                  double *estimate);
-/* The estimate alone. */
-void track_estimate(const track_sizes *of, const double *rules, double *memory, double *estimate);
+/* A mixture of n normal distributions of d numbers. */
+typedef struct {
+    const double *weights, *means, *deviations; /* (n,), (n, d), (n, d) */
+    int64_t n, d;
+} mixture;
+
+/* Half widths (d,) around a centre that hold a probability of the mixture. */
+void mixture_reach(const mixture *of, const double *centre, double probability, double *out);
 #endif
