@@ -349,11 +349,11 @@ static void bear(const track_sizes *of, population *at, const rules_of *rules, i
     memcpy(at->theta + slot * d, at->theta + best * d, line);
     memcpy(at->P + slot * d * d, at->P + best * d * d, (size_t)d * line);
     for (int64_t i = 0; i < d; i++) {
-        at->P[(slot * d + i) * d + i] += 1.0;
+        at->P[(slot * d + i) * d + i] += rules->watched[i] > 0.0 ? 1.0 : 0.0;
         at->share[slot * d + i] = 1.0;
     }
-    int third = fmod(at->number[TURN], 3.0) == 2.0;
-    at->drift[slot] = rules->number[third ? MIDDLE : LONG];
+    int second = fmod(at->number[TURN], 2.0) == 1.0;
+    at->drift[slot] = rules->number[second ? MIDDLE : LONG];
     at->born[slot] = at->number[ROW];
     at->weight[slot] = log_of(rules->number[HAZARD]);
     at->number[TURN] += 1.0;

@@ -330,7 +330,10 @@ class Population:
         return best, int(early[np.argmax(weight[early])]) if early.size else best
 
     def _bear(self, best: int, first: int) -> None:
-        """Put a fresh hypothesis of a jump in the place of the least likely one."""
+        """Put a fresh hypothesis of a jump in the place of the least likely one.
+
+        Only watched parameters jump. Long and middle memory alternate.
+        """
         rules = self.rules
         able = self["row"] - self.born > rules.every
         able[[best, first]] = False
@@ -339,9 +342,8 @@ class Population:
         slot = int(np.flatnonzero(able)[np.argmin(self.weight[able])])
         self.was[slot] = self.theta[best] if self.born[best] <= self["since"] else self.was[best]
         self.theta[slot], self.P[slot], self.share[slot] = self.theta[best], self.P[best], 1.0
-        self.P[slot].flat[:: self.layout.d + 1] += 1.0
-        third = self["turn"] % 3 == 2
-        self.drift[slot] = rules.middle if third else rules.long
+        self.P[slot].flat[:: self.layout.d + 1] += rules.watched
+        self.drift[slot] = rules.middle if self["turn"] % 2 else rules.long
         self.born[slot], self.weight[slot] = self["row"], math.log(rules.hazard)
         self["turn"] += 1
 

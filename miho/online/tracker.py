@@ -73,8 +73,8 @@ class TrackerSettings(OnlineMethod):
     width: float = 400.0
     threshold: float = 3.0
     near: float = 1 / 7
-    drifts: tuple[float, float, float] = (0.0043, 0.086, 0.43)
-    use: float = 0.4
+    drifts: tuple[float, float, float] = (0.003, 0.15, 0.43)
+    use: float = 0.3
     smooth: float = 2.0
     hold: float = 1.5
     repeats: int = 2
