@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ RISE = 1.02
 NUMBERS = ("row", "clock", "last_time", "since", "quiet_until", "turn", "odds", "alarm", "gain")
 """Counters of a population. `clock` is the time that has passed [s], `since` the last row that
 counts as before a change, `gain` the information that the last row gave the best hypothesis."""
+
+
+PLACE = {name: k for k, name in enumerate(NUMBERS)}
 
 
 @dataclass(frozen=True)
@@ -167,11 +171,20 @@ class Population:
         self["since"], self["quiet_until"], self["last_time"] = -1.0, -math.inf, math.nan
         self["odds"] = LEAST_WEIGHT
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return all that changes; the form in the machine is created again."""
+        return _population, (self.layout, self.rules, self.formula, self.memory.copy())
+
+    def with_threshold(self, threshold: float) -> Population:
+        """Return the same population with another threshold of the alarm."""
+        rules = replace(self.rules, threshold=threshold)
+        return _population(self.layout, rules, self.formula, self.memory)
+
     def __getitem__(self, name: str) -> float:
-        return float(self.numbers[NUMBERS.index(name)])
+        return float(self.numbers[PLACE[name]])
 
     def __setitem__(self, name: str, value: float) -> None:
-        self.numbers[NUMBERS.index(name)] = value
+        self.numbers[PLACE[name]] = value
 
     def update(self, row: Array) -> Array:
         """Take one row, and return the estimate, (layout.estimate_size,).
@@ -376,3 +389,10 @@ class Population:
         covariance += (away.T * mixture.weights) @ away
         mixture.means[:] = self.theta
         mixture.deviations[:] = roots * np.sqrt(np.maximum(self.P.diagonal(axis1=1, axis2=2), 0.0))
+
+
+def _population(layout: Layout, rules: Rules, formula: RowFormula, memory: Array) -> Population:
+    """A population with this memory."""
+    made = Population(layout, rules, formula)
+    made.memory[:] = memory
+    return made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 import time
 from collections.abc import Mapping
@@ -13,9 +14,13 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.identification.report import Report
+from miho.models.identified import Identified
+from miho.online.calibration import Calibration, calibration, fitted_to
+from miho.online.informative import InformativeRows
 from miho.online.method import OnlineMethod, Problems, Rows, Running
-from miho.online.outputs import TIME, System, system_of
+from miho.online.outputs import TIME, Output, System, system_of
 from miho.online.population import Layout, Population, Rules
+from miho.online.present import present_parameters
 from miho.online.prior import place_of, start_of
 from miho.online.slopes import row_formula
 from miho.online.state import Alarm, TrackerState
@@ -66,6 +71,13 @@ class TrackerSettings(OnlineMethod):
         Number of hypotheses.
     cap : float, optional
         Drift widens a parameter up to this variance, in squared jumps.
+    kept : int, optional
+        Number of informative rows to keep, see `Tracker.dataset`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     hazard: float = 1e-3
@@ -82,6 +94,7 @@ class TrackerSettings(OnlineMethod):
     every: int = 3
     slots: int = 16
     cap: float = 0.75
+    kept: int = 500
 
     def __post_init__(self) -> None:
         for name in ("hazard", "outliers"):
@@ -93,6 +106,7 @@ class TrackerSettings(OnlineMethod):
         at_least("hold", self.hold, 0.0)
         whole("repeats", self.repeats, 1)
         whole("every", self.every, 1)
+        whole("kept", self.kept, 1)
         whole("slots", self.slots, 4, 64)
         drifts = tuple(self.drifts)
         if len(drifts) != 3 or not all(0 <= drift < math.inf for drift in drifts):
@@ -190,6 +204,7 @@ class Tracker(Running):
         self._population.begin(theta, covariance, _peak(self.system, self._rules, theta))
         self._names = [*self.columns, *(output.column for output in self.system.outputs)]
         self._bounds = self._rules.low, self._rules.high
+        self._informative = InformativeRows(self.settings.kept, len(self._names) + 1)
         self._state: TrackerState | None = None
 
     @property
@@ -219,15 +234,114 @@ class Tracker(Running):
             If a column is missing, or columns differ in length.
         """
         began = time.perf_counter()
-        alarm, estimate = None, None
+        alarm, estimate, population = None, None, self._population
         for row in self._rows(rows):
-            estimate = self._population.update(row)
-            if self._population["alarm"]:
+            estimate = population.update(row)
+            if population["alarm"]:
                 alarm = self._alarm(float(row[-1]))
-                self._population["since"] = self._population["row"] - 1
+                population["since"] = population["row"] - 1
+                self._informative.clear()
+            self._informative.note(row, population["gain"], population["clock"])
         if estimate is not None:
             self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
         return self.state
+
+    def dataset(self, output: str | None = None) -> Dataset:
+        """Return the rows since the last alarm that inform the parameters most, for an offline fit.
+
+        Parameters
+        ----------
+        output : str, optional
+            Column of the output; by default the first one.
+
+        Returns
+        -------
+        Dataset
+            At most `kept` rows, in order of time, with inputs, the output and "time".
+
+        Raises
+        ------
+        ValueError
+            If there is no such output, or no informative row yet.
+        """
+        own = self._output(output)
+        names = [*self._names, TIME]
+        rows = self._informative.rows
+        rows = rows[np.isfinite(rows[:, names.index(own.column)])]
+        if not len(rows):
+            raise ValueError(f"dataset: no row has informed {own.column!r} since the last alarm")
+        units = {**self.system.inputs, own.column: own.unit, TIME: "s"}
+        chosen = [*own.model.inputs, own.column, TIME]
+        columns = {name: rows[:, names.index(name)] for name in chosen}
+        units = {name: units[name] for name in columns}
+        return Dataset(f"tracked_{own.column}", columns, units, own.column)
+
+    def parameters(self, output: str | None = None, level: float = 0.95) -> Identified:
+        """Return the model of an output with its present parameters, as in `parameters.json`.
+
+        Parameters
+        ----------
+        output : str, optional
+            Column of the output; by default the first one.
+        level : float, optional
+            Confidence level of the intervals.
+
+        Returns
+        -------
+        Identified
+            Fixed and tied parameters are those of the present free ones.
+            `miho.models.identified.parameters_text` writes it.
+
+        Raises
+        ------
+        ValueError
+            If there is no such output.
+        """
+        return present_parameters(self.system, self._output(output), self.state, level)
+
+    def calibrate(self, rows: Rows) -> Calibration:
+        """Set the scale of intervals and the threshold of the alarm from a quiet record.
+
+        Errors of neighbouring rows may depend on each other, as in one-step errors, where the noise
+        of a state is in two rows: intervals for independent errors are then too wide or too narrow.
+        The scale is that of the watched parameters around the best fit of the record, in which
+        nothing may change. The threshold is at least the largest odds in the record plus 1.
+
+        Parameters
+        ----------
+        rows : Dataset or mapping of str
+            A record that is long compared with the memory of the tracker: a minute or more.
+
+        Returns
+        -------
+        Calibration
+            Scale and threshold, which the tracker now uses. Its parameters do not change.
+
+        Raises
+        ------
+        ValueError
+            If the record does not inform a watched parameter.
+        """
+        trial = copy.copy(self)
+        trial._population = copy.copy(self._population)
+        trial._informative = copy.deepcopy(self._informative)
+        trial._scale = 1.0
+        numbers, population = self._rows(rows), self._population
+        columns = [*self._names, TIME]
+        states = [trial.update(dict(zip(columns, row, strict=True))) for row in numbers.tolist()]
+        theta, covariance = self.state.theta, self.state.covariance
+        best = fitted_to(numbers, population.formula, self._rules, theta, covariance)
+        found = calibration(states, best, self._rules.watched > 0, self.settings.threshold)
+        self._scale = found.scale
+        self._population = self._population.with_threshold(found.threshold)
+        self._state = None
+        return found
+
+    def _output(self, column: str | None) -> Output:
+        outputs = {output.column: output for output in self.system.outputs}
+        if column is not None and column not in outputs:
+            raise ValueError(f"output is {column!r}; expected one of {', '.join(outputs)}")
+        return self.system.outputs[0] if column is None else outputs[column]
 
     def _rows(self, rows: Rows) -> Array:
         """Rows (n, p + m + 1) of inputs, outputs and time."""

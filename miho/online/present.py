@@ -1,0 +1,58 @@
+"""The model of an output with the present parameters of a tracker."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from miho.models.identified import Identified, Value
+from miho.models.tied import Tied, whole_model
+from miho.online.outputs import Output, System
+from miho.online.state import TrackerState
+from miho.quantities import Array
+
+
+def present_parameters(
+    system: System, output: Output, state: TrackerState, level: float
+) -> Identified:
+    """Return the content of `parameters.json` for a state."""
+    places = [system.names.index(name) for name in output.parameters]
+    theta, ends = state.theta[places], state.intervals(level)[places]
+    covariance = state.scale**2 * state.covariance[np.ix_(places, places)]
+    model = whole_model(output.model)
+    if isinstance(output.model, Tied):
+        theta, covariance, ends = _tied(output.model, theta, covariance, ends)
+    errors = np.sqrt(np.diag(covariance))
+    usable = np.where(errors > 0, errors, np.nan)
+    return Identified(
+        model=model,
+        parameters={
+            name: Value(float(theta[k]), unit, float(errors[k]), *map(float, ends[k]))
+            for k, (name, unit) in enumerate(model.parameters.items())
+        },
+        correlation=covariance / np.outer(usable, usable),
+        ranges={
+            name: (float(output.columns[name].min()), float(output.columns[name].max()))
+            for name in model.inputs
+        },
+        derived={},
+        provenance={"interval": "tracked", "rows": state.rows, "time": state.time},
+        level=level,
+    )
+
+
+def _tied(model: Tied, theta: Array, covariance: Array, ends: Array) -> tuple[Array, Array, Array]:
+    """Values, covariance and intervals of all parameters; those of tied ones are linearised."""
+    ties = model.ties
+    count = len(ties.parameters)
+    values = ties.values(theta[None])[0, :count]
+    slopes = ties.value_slopes(theta[None])[0, :count]
+    whole = slopes @ covariance @ slopes.T
+    errors = np.sqrt(np.diag(covariance))
+    halves = np.where(errors > 0, np.diff(ends)[:, 0] / 2 / np.where(errors > 0, errors, 1.0), 0.0)
+    reach = float(halves.max(initial=0.0)) * np.sqrt(np.diag(whole))
+    intervals = np.stack([values - reach, values + reach], axis=1)
+    free = list(ties.free)
+    for k, name in enumerate(ties.parameters):
+        if name in free:
+            intervals[k] = ends[free.index(name)]
+    return values, whole, intervals
