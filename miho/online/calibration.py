@@ -44,7 +44,8 @@ def calibration(
     """Return the calibration from the states of a quiet record and the best fit of the record.
 
     The record is a part of what the best fit has seen, so the variance of the latter is added to
-    the squared distance of an estimate from it. The scale is a ratio of root mean squares.
+    the squared distance of an estimate from it. The scale is a ratio of root mean squares, the
+    largest one of all watched parameters.
 
     Raises
     ------
@@ -62,7 +63,12 @@ def calibration(
     reach = np.array([np.diff(state.intervals(LEVEL))[:, 0] / 2 for state in settled])
     stated = np.maximum(reach / QUANTILE, np.finfo(float).tiny) ** 2
     odds = max(state.odds for state in states)
-    scale = float(np.sqrt(np.mean((squares / stated)[informed])))
+    shares = [
+        np.mean(column[own])
+        for column, own in zip((squares / stated).T, informed.T, strict=True)
+        if own.any()
+    ]
+    scale = float(np.sqrt(max(shares)))
     return Calibration(scale, max(threshold, odds + MARGIN))
 
 
