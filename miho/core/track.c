@@ -149,7 +149,7 @@ static void smooth_inputs(const track_sizes *of, population *at, const rules_of 
     memcpy(to->row, row, (size_t)of->p * sizeof(double));
     for (int64_t k = 0; k < of->q; k++) {
         double square = rules->noise[k] * rules->noise[k];
-        if (isinf(at->variance[k])) {
+        if (isinf(at->variance[k]) || b >= 1.0) {
             at->mean[k] = row[k];
             at->variance[k] = LARGEST_NOISE * square;
         } else {
@@ -157,7 +157,7 @@ static void smooth_inputs(const track_sizes *of, population *at, const rules_of 
             at->mean[k] += b * away;
             at->variance[k] = (1.0 - b) * (at->variance[k] + b * (away * away));
         }
-        double kept = 1.0 - square / at->variance[k];
+        double kept = 1.0 - square / (at->variance[k] > SMALLEST ? at->variance[k] : SMALLEST);
         kept = kept > 0.0 ? kept : 0.0;
         to->row[k] = at->mean[k] + kept * (row[k] - at->mean[k]);
         to->noise[k] = rules->noise[k] * sqrt(kept);

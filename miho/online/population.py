@@ -245,13 +245,13 @@ class Population:
         """
         q, rules = self.layout.q, self.rules
         row = x.copy()
-        unseen = np.isinf(self.variance)
         b = max(min(seconds / rules.smooth, 1.0), 1 / (self["row"] + 1))
-        away = x[:q] - np.where(unseen, x[:q], self.mean)
+        away = x[:q] - self.mean
+        unseen = np.isinf(self.variance) | (b >= 1)
         self.mean[:] = np.where(unseen, x[:q], self.mean + b * away)
-        floor = np.where(unseen, LARGEST_NOISE * rules.noise**2, self.variance)
-        self.variance[:] = np.where(unseen, floor, (1 - b) * (floor + b * away**2))
-        kept = np.maximum(0.0, 1 - rules.noise**2 / self.variance)
+        seen = (1 - b) * (np.where(unseen, 0.0, self.variance) + b * away**2)
+        self.variance[:] = np.where(unseen, LARGEST_NOISE * rules.noise**2, seen)
+        kept = np.maximum(0.0, 1 - rules.noise**2 / np.maximum(self.variance, SMALLEST))
         row[:q] = self.mean + kept * (x[:q] - self.mean)
         return row, rules.noise * np.sqrt(kept)
 
