@@ -391,6 +391,10 @@ static void write_estimate(const track_sizes *of, const double *numbers, double 
                     (at.theta[s * d + l] - mean[l]);
         for (int64_t i = 0; i < d; i++) deviations[s * d + i] *= means[s * d + i];
     }
+    for (int64_t i = 0; i < d; i++) { /* a mean of bounds is rounded */
+        mean[i] = mean[i] < rules.low[i] ? rules.low[i] : mean[i];
+        mean[i] = mean[i] > rules.high[i] ? rules.high[i] : mean[i];
+    }
     memcpy(means, at.theta, (size_t)(K * d) * sizeof(double));
 }
 

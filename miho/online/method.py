@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
 from miho.online.state import TrackerState
-from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.identification.report import Report
@@ -17,8 +16,8 @@ if TYPE_CHECKING:
 Problems = CurveFit | Sequence[CurveFit]
 """A problem, or one for each output; problems share parameters and inputs by name."""
 
-Rows = Dataset | Mapping[str, float | Array]
-"""Columns by name: numbers for one row, arrays for several."""
+Rows = Dataset | Mapping[str, Any]
+"""Columns by name: numbers for one row, array_like for several."""
 
 
 class Running(ABC):

@@ -387,6 +387,7 @@ class Population:
         away = self.theta - mean
         covariance[:] = np.einsum("s,sij,si,sj->ij", mixture.weights, self.P, roots, roots)
         covariance += (away.T * mixture.weights) @ away
+        mean[:] = np.clip(mean, self.rules.low, self.rules.high)  # a mean of bounds is rounded
         mixture.means[:] = self.theta
         mixture.deviations[:] = roots * np.sqrt(np.maximum(self.P.diagonal(axis1=1, axis2=2), 0.0))
 

@@ -80,7 +80,7 @@ class TrackerSettings(OnlineMethod):
         If a setting is out of its range.
     """
 
-    hazard: float = 1e-3
+    hazard: float = 3e-4
     outliers: float = 0.02
     width: float = 400.0
     threshold: float = 3.0
@@ -170,7 +170,7 @@ class Tracker(Running):
     >>> tracker = miho.Tracker(problem, prior={"a": (2.0, 0.05)})
     >>> states = [tracker.update({"x": x[k], "y": y[k]}) for k in range(200)]
     >>> [str(state.alarm) for state in states if state.alarm]
-    ['a fell by 40 ± 5 % at 2.0 s']
+    ['a fell by 39 ± 2 % at 2.0 s']
     >>> bool(abs(states[-1].values["a"] - 1.2) < 0.05)
     True
     """
@@ -185,7 +185,8 @@ class Tracker(Running):
         **settings: Any,
     ) -> None:
         if isinstance(problem, Report):
-            problem, prior = problem.problem, problem if prior is None else prior
+            prior = problem if prior is None else prior
+            problem = problem.problem
         self.settings = _settings(settings)
         positive("period", period)
         self.period = float(period)
@@ -333,8 +334,8 @@ class Tracker(Running):
         best = fitted_to(numbers, population.formula, self._rules, theta, covariance)
         found = calibration(states, best, self._rules.watched > 0, self.settings.threshold)
         self._scale = found.scale
-        self._population = self._population.with_threshold(found.threshold)
-        self._state = None
+        self._population = population.with_threshold(found.threshold)
+        self._state = replace(self.state, scale=found.scale)
         return found
 
     def _output(self, column: str | None) -> Output:

@@ -29,15 +29,16 @@ def second(x: Any, z: Any, *, a: Any, b: Any) -> Any:
 def tracker(**settings: Any) -> Tracker:
     x, z = np.linspace(-2, 2, 30), np.linspace(0.5, 1.5, 30)
     space = Space((Parameter("a", "", 0.1, 5), Parameter("b", "", 0.1, 5)))
+    functions: tuple[Any, Any] = first, second
     problems = [
         CurveFit(
             function,
-            Dataset(output, {"x": x, "z": z, output: x}, dict.fromkeys(("x", "z", output), ""), output),
+            Dataset(output, {"x": x, "z": z, output: x}, {"x": "", "z": "", output: ""}, output),
             space,
             sigma=0.02,
         )
-        for output, function in (("u", first), ("v", second))
-    ]  # fmt: skip
+        for output, function in zip("uv", functions, strict=True)
+    ]
     prior = {"a": (2.0, 0.1), "b": (1.0, 0.05)}
     return Tracker(problems, prior, {"a": 0.35}, {"x": 0.01}, **settings)
 
@@ -55,7 +56,7 @@ def stream(seed: int = 0) -> list[dict[str, float]]:
     rng = np.random.default_rng(seed)
     x, z = 2 * np.sin(np.arange(ROWS) / 7), 1 + 0.5 * np.cos(np.arange(ROWS) / 11)
     a = np.where(np.arange(ROWS) < FALL, 2.1, 1.4)
-    columns = {"x": x + 0.01 * rng.standard_normal(ROWS), "z": z}
+    columns: dict[str, Any] = {"x": x + 0.01 * rng.standard_normal(ROWS), "z": z}
     columns["u"] = first(x, z, a=a, b=1.05) + 0.02 * rng.standard_normal(ROWS)
     columns["v"] = second(x, z, a=a, b=1.05) + 0.02 * rng.standard_normal(ROWS)
     columns["time"] = 0.02 * np.arange(ROWS)
@@ -77,10 +78,10 @@ def test_the_machine_decides_as_numpy() -> None:
         np.testing.assert_allclose(state.theta, expected.theta, rtol=1e-10)
         np.testing.assert_allclose(state.covariance, expected.covariance, rtol=1e-7, atol=1e-13)
         assert str(state.alarm) == str(expected.alarm), k
-        same = [run._population for run in (machine_run, reference)]
-        np.testing.assert_array_equal(*(one.born for one in same))
-        np.testing.assert_array_equal(*(one.drift for one in same))
-        np.testing.assert_array_equal(*(one.informed for one in same))
+        one, same = machine_run._population, reference._population
+        np.testing.assert_array_equal(one.born, same.born)
+        np.testing.assert_array_equal(one.drift, same.drift)
+        np.testing.assert_array_equal(one.informed, same.informed)
     assert machine_run._population["turn"] > 20
 
 
@@ -88,15 +89,15 @@ def test_all_levels_have_the_same_bits() -> None:
     runs = []
     for level in range(len(machine().levels())):
         run = tracker()
-        track, _, sizes, rules = run._population._machine
-        tape = run._population.formula.tape.at_level(level)
-        run._population._machine = track, tape, sizes, rules
+        population: Any = run._population
+        track, _, sizes, rules = population._machine
+        population._machine = track, population.formula.tape.at_level(level), sizes, rules
         runs.append(b"".join(run.update(row).covariance.tobytes() for row in stream()))
     assert len(set(runs)) == 1
 
 
 def arguments() -> list[Any]:
-    population = tracker()._population
+    population: Any = tracker()._population
     _, tape, sizes, rules = population._machine
     assert sizes == SIZES
     estimate = np.empty(population.layout.estimate_size)

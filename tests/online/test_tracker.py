@@ -1,0 +1,398 @@
+"""The tracker: closed forms, changes, faults, resumption, memory and errors."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+import miho
+from miho import CurveFit, Dataset, Parameter, Space, Tracker
+from miho.models.identified import parameters_text
+from miho.online import Alarm, OnlineMethod, TrackerSettings, TrackerState
+
+SIGMA = 0.03
+ROWS = 900
+FALL = 600
+NO_OUTLIERS = 1e-12
+PRIOR = {"B": (12.2, 0.5), "D": (1.02, 0.03)}
+
+
+def _force(slip: Any, *, B: Any, D: Any) -> Any:
+    return D * np.sin(1.5 * np.arctan(B * slip))
+
+
+force: Any = _force
+
+
+def line(x: Any, *, a: Any, b: Any) -> Any:
+    return a * x + b
+
+
+def problem_of(function: Any = force, **columns: Any) -> CurveFit:
+    """The problem of a function of one input; bounds are -50 and 50."""
+    columns = columns or {"slip": np.linspace(-0.16, 0.16, 40), "y": np.zeros(40)}
+    names = inspect.getfullargspec(function).kwonlyargs
+    space = Space(tuple(Parameter(name, "", -50.0, 50.0) for name in names))
+    data = Dataset("stream", columns, dict.fromkeys(columns, ""), "y")
+    return CurveFit(function, data, space, sigma=SIGMA)
+
+
+def tire(seed: int = 0, fall: float = 0.35) -> dict[str, Any]:
+    """Corners at 50 Hz near the peak; D falls within 0.2 s."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(ROWS)
+    slip = 0.12 * np.sin(2 * np.pi * k / 200) + 0.01 * np.sin(k / 7)
+    slip[FALL - 50 : FALL + 100] = 0.12 + 0.02 * np.sin(k[FALL - 50 : FALL + 100] / 7)
+    D = 1 - fall * np.clip((k - FALL) / 10, 0, 1)
+    y = force(slip, B=12.0, D=D) + SIGMA * rng.standard_normal(ROWS)
+    slip = slip + 0.0005 * rng.standard_normal(ROWS)
+    return {"slip": slip, "y": y, "time": 0.02 * k}
+
+
+def tracker(**settings: Any) -> Tracker:
+    return Tracker(problem_of(), PRIOR, {"D": 0.35}, {"slip": 0.0005}, **settings)
+
+
+def followed(
+    run: Tracker, columns: dict[str, Any], rows: slice = slice(None)
+) -> list[TrackerState]:
+    each = [column[rows].tolist() for column in columns.values()]
+    return [run.update(dict(zip(columns, row, strict=True))) for row in zip(*each, strict=True)]
+
+
+def test_without_drift_and_changes_it_is_least_squares() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-1, 1, 60)
+    y = 2 * x - 1 + SIGMA * rng.standard_normal(60)
+    still: dict[str, Any] = {"drifts": (0.0, 0.0, 0.0), "outliers": NO_OUTLIERS}
+    run = Tracker(problem_of(line, x=x, y=y), {"a": (1.5, 0.8), "b": (0.0, 2.0)}, {}, **still)
+    state = run.update({"x": x, "y": y})
+    prior = np.diag([1 / 0.8**2, 1 / 2.0**2])
+    J = np.column_stack([x, np.ones(60)])
+    information = prior + J.T @ J / SIGMA**2
+    expected = np.linalg.solve(information, prior @ [1.5, 0.0] + J.T @ y / SIGMA**2)
+    # The condition number of the information is some 10, and 60 rows are added: 1e-12 is rounding.
+    np.testing.assert_allclose(state.theta, expected, rtol=1e-11)
+    np.testing.assert_allclose(state.covariance, np.linalg.inv(information), rtol=1e-10)
+    reach = 1.959963984540054 * np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(np.diff(state.intervals())[:, 0] / 2, reach, rtol=1e-5)
+
+
+def test_with_drift_it_is_the_kalman_filter() -> None:
+    rng = np.random.default_rng(2)
+    x = rng.uniform(0.5, 1, 80)
+    y = 0.3 * x + SIGMA * rng.standard_normal(80)
+    q = 0.03
+    settings: dict[str, Any] = {"outliers": NO_OUTLIERS, "cap": 1e6, "period": 0.5}
+    prior = dict.fromkeys("ab", (0.0, 1.0))
+    run = Tracker(problem_of(line, x=x, y=y), prior, {}, drifts=(q, q, q), **settings)
+    theta, P = np.zeros(2), np.eye(2)
+    for k in range(80):
+        state = run.update({"x": x[k], "y": y[k]})
+        j = np.array([x[k], 1.0])
+        P = P + (q**2 * 0.5 * np.eye(2) if k else 0)  # no time has passed before the first row
+        gain = P @ j / (j @ P @ j + SIGMA**2)
+        theta, P = theta + gain * (y[k] - j @ theta), P - np.outer(gain, j @ P)
+        np.testing.assert_allclose(state.theta, theta, rtol=1e-9, atol=1e-10)
+    # The drift is a way to forget: in the long run half of the filter's variance is belief.
+    assert np.all(np.diag(state.covariance) <= np.diag(P) * (1 + 1e-9))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_fall_raises_one_alarm(seed: int) -> None:
+    states = followed(tracker(), tire(seed))
+    alarms = [state.alarm for state in states if state.alarm]
+    assert [alarm.parameter for alarm in alarms] == ["D"]
+    assert FALL * 0.02 < alarms[0].time < FALL * 0.02 + 0.3
+    assert str(alarms[0]).startswith("D fell by ")
+    D = np.array([state.values["D"] for state in states])
+    assert np.abs(D[FALL - 100 : FALL] - 1).max() < 0.03
+    assert np.abs(D[FALL + 30 :] / 0.65 - 1).max() < 0.05
+    low, high = states[-1].intervals()[1]
+    assert low < 0.65 < high
+    assert states[-1].identifiable.all()
+
+
+def test_nothing_changes_without_a_change() -> None:
+    states = followed(tracker(), tire(3, fall=0.0))
+    assert not any(state.alarm for state in states)
+    assert max(state.odds for state in states) < 3
+
+
+def test_straights_do_not_move_the_grip() -> None:
+    columns = tire(4, fall=0.0)
+    run = tracker()
+    before = followed(run, columns)[-1]
+    rng = np.random.default_rng(4)
+    slip = 0.002 * rng.standard_normal(1000)
+    rows = {"slip": slip + 0.0005 * rng.standard_normal(1000), "y": force(slip, B=12.0, D=1.0)}
+    after = run.update({**rows, "y": rows["y"] + SIGMA * rng.standard_normal(1000)})
+    assert abs(after.values["D"] - before.values["D"]) < 0.3 * before.deviations[1]
+    assert after.deviations[1] > before.deviations[1]
+    assert not after.identifiable[1]
+
+
+def spoil(columns: dict[str, Any], fault: str) -> None:
+    rng = np.random.default_rng(5)
+    some, y, time = rng.random(ROWS) < 0.05, columns["y"], columns["time"]
+    if fault == "missing":
+        y[some] = columns["slip"][rng.random(ROWS) < 0.05] = np.nan
+    elif fault == "infinite":
+        y[some] = np.inf
+    elif fault == "outliers":
+        y[some] += 20 * SIGMA * rng.choice([-1, 1], some.sum())
+    elif fault == "dropout":
+        y[300:550] = np.nan
+    elif fault == "frozen output":
+        y[300:550] = y[300]
+    elif fault == "frozen input":
+        columns["slip"][300:550] = columns["slip"][300]
+    elif fault == "time jumps":
+        time[300:] += 1000
+    elif fault == "time goes back":
+        time[300:] -= 1000
+    elif fault == "time stands":
+        time[300:400] = time[300]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["missing", "infinite", "outliers", "dropout", "frozen output", "frozen input", "time jumps",
+     "time goes back", "time stands"],
+)  # fmt: skip
+def test_faults(fault: str) -> None:
+    columns = tire(6, fall=0.0)
+    spoil(columns, fault)
+    states = followed(tracker(), columns)
+    assert not any(state.alarm for state in states)
+    error = np.abs([state.values["D"] - 1 for state in states[300:]])
+    assert error.max() < 0.03
+    assert error[-50:].max() < 0.015
+
+
+def test_several_rows_are_rows_one_by_one() -> None:
+    columns, together = tire(), tracker()
+    each = followed(tracker(), columns, slice(0, 700))
+    state = together.update({name: column[:700] for name, column in columns.items()})
+    assert state.theta.tobytes() == each[-1].theta.tobytes()
+    assert state.covariance.tobytes() == each[-1].covariance.tobytes()
+    assert str(state.alarm) == str(next(one.alarm for one in each if one.alarm))
+    assert state.rows == 700
+
+
+def test_a_dataset_is_rows_too() -> None:
+    columns = tire()
+    data = Dataset("log", columns, dict.fromkeys(columns, ""), "y")
+    a, b = tracker(), tracker()
+    assert a.update(data).theta.tobytes() == b.update(columns).theta.tobytes()
+
+
+def test_a_pickled_tracker_continues_to_the_last_bit() -> None:
+    run, columns = tracker(), tire()
+    followed(run, columns, slice(0, FALL + 3))
+    copied = pickle.loads(pickle.dumps(run))
+    assert copied.state.values == run.state.values
+    for state, same in zip(
+        followed(run, columns, slice(FALL + 3, None)),
+        followed(copied, columns, slice(FALL + 3, None)),
+        strict=True,
+    ):
+        assert state.theta.tobytes() == same.theta.tobytes()
+        assert state.intervals().tobytes() == same.intervals().tobytes()
+        assert str(state.alarm) == str(same.alarm)
+    assert run.dataset().digest == copied.dataset().digest
+
+
+def test_memory_does_not_grow() -> None:
+    run, columns = tracker(), tire()
+    followed(run, columns)
+    tracemalloc.start()
+    try:
+        followed(run, columns, slice(0, 200))
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(3):
+            followed(run, columns)
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 20_000  # 2,700 rows; a number kept per row would be 80 kB
+
+
+def test_bounds_hold() -> None:
+    problem = problem_of()
+    space = Space((Parameter("B", "", 11.0, 13.0), Parameter("D", "", 0.9, 1.1)))
+    run = Tracker(
+        CurveFit(force, problem.dataset, space, sigma=SIGMA), PRIOR, {"D": 0.35}, {"slip": 0.0005}
+    )
+    for state in followed(run, tire()):
+        ends = np.column_stack([state.theta, state.intervals()])
+        assert np.all((ends >= [[11.0], [0.9]]) & (ends <= [[13.0], [1.1]]))
+    assert run.state.values["D"] < 0.95
+
+
+def test_a_function_that_branches_is_tracked_by_differences() -> None:
+    def branching(slip: Any, *, B: float, D: float) -> Any:
+        return force(slip, B=B, D=D) if D > 0 else -force(slip, B=B, D=-D)
+
+    columns = tire()
+    plain, traced = (
+        Tracker(problem_of(branching), PRIOR, {"D": 0.35}),
+        Tracker(problem_of(), PRIOR, {"D": 0.35}),
+    )
+    for state, same in zip(
+        followed(plain, columns, slice(550, 650)),
+        followed(traced, columns, slice(550, 650)),
+        strict=True,
+    ):
+        np.testing.assert_allclose(
+            state.theta, same.theta, rtol=1e-6
+        )  # differences have ten digits
+        assert (state.alarm is None) == (same.alarm is None)
+
+
+def test_outputs_of_a_joint_fit_share_parameters() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0.5, 1.5, 80)
+
+    def v(x: Any, *, a: Any, c: Any) -> Any:
+        return a * x**2 + c
+
+    noise = 0.02 * rng.standard_normal((2, 80))
+    parts = {
+        "u": miho.Part(line, {"x": x}, 2 * x + 1 + noise[0], sigma=0.02),
+        "v": miho.Part(v, {"x": x}, 2 * x**2 - 1 + noise[1], sigma=0.02),
+    }
+    report = miho.fit_joint(parts, {"a": (0, 5), "b": (-3, 3), "c": (-3, 3)}).report()
+    run = Tracker(report, changes={"a": 0.35})
+    assert run.state.values == dict(zip("abc", report.at.theta.tolist(), strict=True))
+    np.testing.assert_allclose(run.state.deviations, report.at.standard_errors, rtol=1e-6)
+    fallen = {"x": x, "u": 1.2 * x + 1 + noise[0], "v": 1.2 * x**2 - 1 + noise[1]}
+    state = run.update(fallen)
+    assert state.alarm is not None and state.alarm.parameter == "a"
+    assert abs(state.values["a"] - 1.2) < 0.03
+    assert run.dataset("v").output == "v"
+    assert list(run.parameters("v").parameters) == ["a", "c"]
+
+
+def test_informative_rows_describe_the_present() -> None:
+    run = tracker(kept=100)
+    followed(run, tire())
+    data = run.dataset()
+    assert len(data) == 100
+    assert data["time"].min() > FALL * 0.02
+    fit = miho.fit(force, {"slip": data["slip"]}, data["y"], {"B": (5, 20), "D": (0.2, 2)})
+    assert abs(fit.values["D"] / 0.65 - 1) < 0.05
+
+
+def test_the_present_model_is_a_parameters_file() -> None:
+    run = tracker()
+    followed(run, tire())
+    present = run.parameters()
+    assert present.parameters["D"].value == run.state.values["D"]
+    assert present.parameters["D"].low < 0.65 < present.parameters["D"].high
+    assert "tracked" in parameters_text(present, {})
+
+
+def test_tied_and_fixed_parameters_follow() -> None:
+    space = Space((Parameter("B", "", fixed=12.0), Parameter("D", "", 0.1, 3.0)))
+    data = problem_of().dataset
+    run = Tracker(CurveFit(force, data, space, sigma=SIGMA), {"D": (1.0, 0.03)})
+    followed(run, tire())
+    assert list(run.state.values) == ["D"]
+    present = run.parameters().parameters
+    assert present["B"].value == 12.0
+    assert present["D"].value == run.state.values["D"]
+
+
+def test_calibration_keeps_parameters() -> None:
+    quiet = {name: np.tile(column[:500], 3) for name, column in tire(7, fall=0.0).items()}
+    rng = np.random.default_rng(8)
+    quiet["y"] = force(quiet["slip"], B=12.0, D=1.0) + SIGMA * rng.standard_normal(1500)
+    del quiet["time"]
+    run = tracker()
+    followed(run, tire(7, fall=0.0), slice(0, 400))
+    before = run.state
+    found = run.calibrate(quiet)
+    assert found.scale > 0 and found.threshold >= 3
+    assert run.state.values == before.values
+    reach, plain = (np.diff(state.intervals())[:, 0] for state in (run.state, before))
+    np.testing.assert_allclose(reach, found.scale * plain, rtol=1e-9)
+
+
+def test_settings_start_trackers() -> None:
+    settings = TrackerSettings(hazard=2e-3)
+    assert isinstance(settings, OnlineMethod)
+    run = settings.start(problem_of(), PRIOR, {"D": 0.35}, period=0.01)
+    assert run.settings == settings and run.period == 0.01
+
+
+def test_alarms_are_sentences() -> None:
+    second = Alarm(12.4, "rear D", 100.0, 71.0, 3.0)
+    alarm = Alarm(12.4, "front D", 1000.0, 690.0, 40.0, (second,))
+    assert str(alarm) == "front D fell by 31 ± 4 % and rear D fell by 29 ± 3 % at 12.4 s"
+    assert str(Alarm(1.0, "Sy", 0.0, 0.2, 0.01)) == "Sy rose by 0.2 ± 0.01 at 1.0 s"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"prior": {"F": (1.0, 0.1)}}, "prior: no parameter 'F'; expected one of B, D"),
+        ({"prior": {"D": 1.0}}, "prior: D is 1.0; expected a value and a standard deviation"),
+        ({"prior": {"D": (1.0, 0.0)}}, "prior: D is .*; expected a value and a standard deviation"),
+        ({"prior": 3}, "prior is a int; expected a report"),
+        ({"changes": {"F": 0.3}}, "changes: no parameter 'F'"),
+        ({"changes": {"D": -0.3}}, "changes.D is -0.3; expected a positive number"),
+        ({"input_noise": {"alpha": 0.1}}, "input_noise: no input 'alpha'; expected one of slip"),
+        (
+            {"input_noise": {"slip": -0.1}},
+            "input_noise.slip is -0.1; expected a number of at least",
+        ),
+        ({"hazards": 0.1}, "no setting 'hazards'; expected one of hazard"),
+        ({"hazard": 0.0}, "hazard is 0.0; expected a number between 0 and 1"),
+        ({"drifts": (1.0, 2.0)}, "drifts is .*; expected three numbers"),
+        ({"slots": 3}, "slots is 3; expected a whole number of at least 4"),
+        ({"period": 0.0}, "period is 0.0; expected a positive number"),
+    ],
+)
+def test_errors_are_sentences(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Tracker(problem_of(), **given)
+
+
+def test_errors_of_problems_and_rows() -> None:
+    problem = problem_of()
+    with pytest.raises(ValueError, match="expected a CurveFit"):
+        Tracker([])
+    with pytest.raises(ValueError, match="the output 'y' occurs twice"):
+        Tracker([problem, problem])
+    with pytest.raises(ValueError, match="has no sigma; give sigma, or the report"):
+        Tracker(CurveFit(force, problem.dataset, problem.space))
+    narrow = Space((Parameter("B", "", 0.0, 20.0), Parameter("D", "", 0.0, 2.0)))
+    other = Dataset("other", {"slip": np.ones(2), "z": np.arange(2.0)}, {"slip": "", "z": ""}, "z")
+    with pytest.raises(ValueError, match="B has the bounds -50 to 50"):
+        Tracker([problem, CurveFit(force, other, narrow, sigma=1.0)])
+    run = tracker()
+    with pytest.raises(ValueError, match="no column 'y'; expected slip, y, and NaN for a missing"):
+        run.update({"slip": 0.1})
+    with pytest.raises(ValueError, match=r"column 'y' has the shape \(2,\); expected \(3,\)"):
+        run.update({"slip": [0.1, 0.2, 0.3], "y": [1.0, 2.0]})
+    with pytest.raises(ValueError, match="no row has informed 'y'"):
+        run.dataset()
+    with pytest.raises(ValueError, match="output is 'z'; expected one of y"):
+        run.dataset("z")
+    with pytest.raises(ValueError, match="calibrate: 900 rows; expected at least 1000"):
+        run.calibrate(tire())
+
+
+def test_a_model_with_memory_is_refused() -> None:
+    def cumulated(x: Any, *, a: Any) -> Any:
+        return a * np.cumsum(x)
+
+    x = np.linspace(0.5, 1, 20)
+    with pytest.raises(ValueError, match="needs all rows in order; expected a model of each row"):
+        Tracker(problem_of(cumulated, x=x, y=np.cumsum(x)))
