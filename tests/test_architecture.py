@@ -134,8 +134,8 @@ SHARED = {
 CORE = {
     f"miho.{name}"
     for name in (
-        "compiled", "core", "data", "figures", "fitting", "identification", "models", "optim",
-        "parallel", "testing",
+        "compiled", "core", "data", "figures", "fitting", "identification", "models",
+        "online", "optim", "parallel", "testing",
     )
 }  # fmt: skip
 """The layers of the core, which know neither vehicles nor rivals nor stored runs."""
