@@ -121,6 +121,17 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"baselines.arena", "miho.analysis", "miho.figures", "miho.study"},
         NUMERICS | TABLES,
     ),
+    "baselines.online": (
+        {
+            "baselines.online",
+            "miho.online",
+            "miho.optim",
+            "miho.models",
+            "miho.data",
+            "miho.identification",
+        },
+        {"numpy"},
+    ),
     "baselines": (
         {"baselines", "miho.compiled", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},

@@ -1,0 +1,87 @@
+"""The extended Kalman filter of parameters that drift."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from baselines.online.alarms import Detector, LevelAlarm
+from baselines.online.peer import Peer, PeerMethod
+from baselines.online.setup import Setup
+from miho.quantities import Array
+
+
+@dataclass(frozen=True)
+class ExtendedKalman(PeerMethod):
+    """Extended Kalman filter; each parameter is a random walk, linearised in each row.
+
+    Parameters
+    ----------
+    drift : float, optional
+        Standard deviation of the walk of a parameter that may jump, as a share of its value, in
+        one second.
+    drift_of_others : float, optional
+        The same for other parameters, in standard deviations of the offline estimate.
+    detector : Detector, optional
+        The alarm.
+
+    References
+    ----------
+    Ljung, Asymptotic behavior of the extended Kalman filter as a parameter estimator for linear
+    systems, IEEE Trans. Automatic Control 24 (1979). Simon, Optimal State Estimation (2006),
+    Eq. 13.14 to 13.18.
+    """
+
+    drift: float = 0.03
+    drift_of_others: float = 0.1
+    detector: Detector = field(default_factory=LevelAlarm)
+
+    def run(self, setup: Setup) -> Peer:
+        """Return a run that has seen no row."""
+        return _ExtendedKalmanRun(setup, self)
+
+
+class _ExtendedKalmanRun(Peer):
+    def __init__(self, setup: Setup, settings: ExtendedKalman) -> None:
+        super().__init__(setup, settings.detector)
+        self.walk = walk_variances(setup, settings.drift, settings.drift_of_others)
+
+    def drift(self, seconds: Array) -> None:
+        self.covariance = widened(self.covariance, seconds[:, None] * self.walk)
+
+    def learn(self, x: Array, y: Array) -> None:
+        f, J, r = self.setup.predicted(self.theta, x)
+        start = self.theta
+        for o in range(y.shape[1]):
+            moved = np.sum(J[:, o] * (self.theta - start), axis=-1)
+            residual = y[:, o] - f[:, o] - moved
+            self.theta, self.covariance = updated(
+                self.theta, self.covariance, residual, J[:, o], r[:, o], self.setup
+            )
+
+
+def walk_variances(setup: Setup, drift: float, drift_of_others: float) -> Array:
+    """Return the variances (S, d) that random walks gain in a second."""
+    share = np.where(setup.changes > 0, drift, drift_of_others)
+    return np.asarray((share * setup.sizes) ** 2)
+
+
+def widened(P: Array, variances: Array) -> Array:
+    """Return covariances (..., d, d) with variances (..., d) added."""
+    P = P.copy()
+    places = np.arange(P.shape[-1])
+    P[..., places, places] += variances
+    return P
+
+
+def updated(
+    theta: Array, P: Array, residual: Array, slopes: Array, variance: Array, setup: Setup
+) -> tuple[Array, Array]:
+    """Return estimates (..., d) and covariances after one output; a residual of NaN is skipped."""
+    Pj = (P @ slopes[..., None])[..., 0]
+    seen = np.isfinite(residual)
+    gain = Pj * (seen / (np.sum(slopes * Pj, axis=-1) + variance))[..., None]
+    theta = theta + gain * np.where(seen, residual, 0.0)[..., None]
+    theta = np.minimum(np.maximum(theta, setup.low), setup.high)
+    return theta, P - gain[..., :, None] * Pj[..., None, :]
