@@ -43,6 +43,8 @@ class Watch(ABC):
     ----------
     means : ndarray, shape (S, d)
         Slow means of the estimates.
+    fired : ndarray of bool, shape (S,)
+        The runs with an alarm at the last row.
     alarm : Alarm or None
         The latest alarm of the first run.
     """
@@ -51,6 +53,7 @@ class Watch(ABC):
         self.setup = setup
         self.threshold = threshold
         self.means = setup.theta.copy()
+        self.fired = np.zeros(len(setup.theta), dtype=bool)
         self.alarm: Alarm | None = None
         self._quiet = np.full(len(setup.theta), SETTLE)
 
@@ -72,6 +75,7 @@ class Watch(ABC):
         self.means += (peer.theta - self.means) * (period / MEMORY)
         ended = np.abs(self._quiet) < period / 2
         self.means[ended] = peer.theta[ended]
+        self.fired = fired
         return fired
 
     @abstractmethod
@@ -123,7 +127,7 @@ class ModeAlarm(Detector):
 class _ModeWatch(Watch):
     def statistic(self, peer: Peer, x: Array, y: Array) -> Array:
         p = np.clip(peer.probability, 1e-300, 1 - 1e-16)
-        return np.log(p / (1 - p))
+        return np.asarray(np.log(p / (1 - p)))
 
     def _restart(self, fired: NDArray[np.bool_]) -> None:
         """The filter itself falls back to its quiet mode."""

@@ -94,7 +94,7 @@ def bicycle(
     """
     one_of("kind", kind, KINDS)
     rng = np.random.default_rng(seed)
-    t = STEP * np.arange(round(seconds / STEP) + 1)
+    t = np.asarray(STEP * np.arange(round(seconds / STEP) + 1), dtype=float)
     theta = NOMINAL * (1 + 0.1 * rng.uniform(-1, 1, 4))
     theta[3] = 1.15 * theta[1] * (1 + 0.05 * rng.uniform(-1, 1))
     estimate = theta + OFFLINE * rng.standard_normal(4)
@@ -183,7 +183,7 @@ def one_step(
     """Return the motion one step later by the midpoint rule."""
     rates = accelerations(state, steering, drive, theta, functions)
     middle = tuple(x + step / 2 * rate for x, rate in zip(state, rates, strict=True))
-    rates = accelerations(middle, steering, drive, theta, functions)  # type: ignore[arg-type]
+    rates = accelerations(middle, steering, drive, theta, functions)
     vx, vy, yaw_rate = (x + step * rate for x, rate in zip(state, rates, strict=True))
     return vx, vy, yaw_rate
 

@@ -23,6 +23,8 @@ class ExtendedKalman(PeerMethod):
         one second.
     drift_of_others : float, optional
         The same for other parameters, in standard deviations of the offline estimate.
+    resets : bool, optional
+        Whether an alarm adds the variance of a jump to the covariance.
     detector : Detector, optional
         The alarm.
 
@@ -30,11 +32,13 @@ class ExtendedKalman(PeerMethod):
     ----------
     Ljung, Asymptotic behavior of the extended Kalman filter as a parameter estimator for linear
     systems, IEEE Trans. Automatic Control 24 (1979). Simon, Optimal State Estimation (2006),
-    Eq. 13.14 to 13.18.
+    Eq. 13.14 to 13.18. Gustafsson, Slip-based tire-road friction estimation, Automatica 33 (1997)
+    (a change detector that resets the filter).
     """
 
     drift: float = 0.03
     drift_of_others: float = 0.1
+    resets: bool = False
     detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
@@ -46,9 +50,13 @@ class _ExtendedKalmanRun(Peer):
     def __init__(self, setup: Setup, settings: ExtendedKalman) -> None:
         super().__init__(setup, settings.detector)
         self.walk = walk_variances(setup, settings.drift, settings.drift_of_others)
+        self.resets = settings.resets
 
     def drift(self, seconds: Array) -> None:
-        self.covariance = widened(self.covariance, seconds[:, None] * self.walk)
+        variances = seconds[:, None] * self.walk
+        if self.resets:
+            variances += self.watch.fired[:, None] * self.setup.changes**2
+        self.covariance = widened(self.covariance, variances)
 
     def learn(self, x: Array, y: Array) -> None:
         f, J, r = self.setup.predicted(self.theta, x)

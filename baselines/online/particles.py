@@ -77,7 +77,7 @@ class _ParticlesRun(Peer):
         self.covariance = (away * self.weights[..., None]).swapaxes(1, 2) @ away
         few = 1 / np.sum(self.weights**2, axis=1) < self.weights.shape[1] / 2
         for k in np.flatnonzero(few):
-            self._resample(k)
+            self._resample(int(k))
 
     def _resample(self, k: int) -> None:
         """Draw particles in proportion to their weights, at equal distances from a random start."""

@@ -185,6 +185,11 @@ def setup_of(
 
 def abreast(setups: Sequence[Setup]) -> Setup:
     """Return the task of several runs of the same model, which advance in lockstep."""
-    fields = ("theta", "covariance", "changes", "largest_slopes", "example")
-    joined = {name: np.concatenate([getattr(one, name) for one in setups]) for name in fields}
-    return replace(setups[0], **joined)
+    return replace(
+        setups[0],
+        theta=np.concatenate([one.theta for one in setups]),
+        covariance=np.concatenate([one.covariance for one in setups]),
+        changes=np.concatenate([one.changes for one in setups]),
+        largest_slopes=np.concatenate([one.largest_slopes for one in setups]),
+        example=np.concatenate([one.example for one in setups]),
+    )

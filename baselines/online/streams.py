@@ -132,7 +132,7 @@ def tire(
     """
     one_of("kind", kind, KINDS)
     rng = np.random.default_rng(seed)
-    t = STEP * np.arange(round(seconds / STEP))
+    t = np.asarray(STEP * np.arange(round(seconds / STEP)), dtype=float)
     theta = NOMINAL * (1 + 0.1 * rng.uniform(-1, 1, 5))
     estimate = theta + OFFLINE * rng.standard_normal(5)
     slip = corners(rng, t.size)

@@ -86,7 +86,7 @@ class _WindowedLeastSquaresRun(Peer):
         for _ in range(self.settings.iterations):
             damped = A * (1 + self.damping[:, None, None] * diagonal)
             step = np.linalg.solve(damped, b[..., None])[..., 0]
-            theta = np.minimum(np.maximum(self.theta + step, self.setup.low), self.setup.high)
+            theta = np.clip(self.theta + step, self.setup.low, self.setup.high)
             trial = self._equations(theta, X, Y)
             better = (trial[0] <= loss) & ~ended
             self.theta = np.where(better[:, None], theta, self.theta)
@@ -99,7 +99,7 @@ class _WindowedLeastSquaresRun(Peer):
             ended |= better & np.all(np.abs(step) < CLOSE * self.setup.sizes, axis=1)
             if ended.all():
                 break
-        self.covariance = np.linalg.inv(A)
+        self.covariance = np.asarray(np.linalg.inv(A), dtype=float)
 
     def _equations(self, theta: Array, X: Array, Y: Array) -> tuple[Array, Array, Array]:
         """Return the loss (S,), and matrix and right-hand side of the normal equations."""
