@@ -64,19 +64,23 @@ def benchmark(
     draw: Callable[[pd.DataFrame], Figure] | None,
     name: str,
     flags: Mapping[str, str] | None = None,
+    options: Mapping[str, tuple[Any, str]] | None = None,
 ) -> None:
     """Measure on one pinned thread, print, and exit with 1 if a bar is missed.
 
     `measure` is called with `quick` and with a value for each of the `flags`, a mapping of names to
-    help texts. Files are written only with `--output FOLDER`.
+    help texts, and of the `options`, a mapping of names to default and help text. Files are written
+    only with `--output FOLDER`.
     """
     parser = argparse.ArgumentParser(description=(doc or "").strip().splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="smaller sizes and fewer repeats")
     parser.add_argument("--output", type=Path, help="folder for CSV, JSON and, if any, a figure")
     for flag, text in (flags or {}).items():
         parser.add_argument(f"--{flag}", action="store_true", help=text)
+    for option, (default, text) in (options or {}).items():
+        parser.add_argument(f"--{option}", type=type(default), default=default, help=text)
     arguments = parser.parse_args()
-    chosen = {flag: getattr(arguments, flag) for flag in flags or {}}
+    chosen = {name: getattr(arguments, name) for name in (*(flags or {}), *(options or {}))}
     bars: list[Bar] = []
 
     def job() -> int:

@@ -1,0 +1,149 @@
+"""The methods of the comparison of online methods: settings in use, and the ones that are tried.
+
+`python -m experiments.benchmarks.online --tune` tries the same number of settings of each peer on
+the tuning seeds; CHOSEN are its results, which are in `conf/tracker` too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from baselines.online import (
+    Bank,
+    ChangePointAlarm,
+    ExtendedKalman,
+    InteractingModels,
+    LevelAlarm,
+    ModeAlarm,
+    Particles,
+    RecursiveLeastSquares,
+    UnscentedKalman,
+    WindowedLeastSquares,
+)
+from baselines.online.alarms import Detector
+from miho.online import OnlineMethod, TrackerSettings
+
+TRIED = 12
+"""Number of settings that each peer may try."""
+LEVEL, MODE, POINTS = "level", "mode", "change points"
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A method of the comparison.
+
+    Parameters
+    ----------
+    build : callable
+        The method from its settings.
+    chosen : mapping
+        The settings in use.
+    grid : mapping of str to tuple
+        The values of each setting that `--tune` tries.
+    detectors : tuple of str
+        Its possible alarms.
+    share : float
+        Share of the seeds and hours of the quick methods.
+    abreast : int
+        Largest number of streams in lockstep.
+    """
+
+    build: Callable[..., OnlineMethod]
+    chosen: Mapping[str, Any]
+    grid: Mapping[str, tuple[Any, ...]]
+    detectors: tuple[str, ...] = (LEVEL, POINTS)
+    share: float = 1.0
+    abreast: int = 60
+
+    def method(self) -> OnlineMethod:
+        """Return the method with the settings in use."""
+        return self.build(**self.chosen)
+
+    def trials(self) -> list[dict[str, Any]]:
+        """Return all settings of the grid."""
+        return [dict(zip(self.grid, each, strict=True)) for each in product(*self.grid.values())]
+
+
+def models(quiet: float, quick: float, drift_of_others: float, guards: bool) -> InteractingModels:
+    """Return two interacting models."""
+    return InteractingModels((quiet, quick), drift_of_others, guards=guards)
+
+
+def windowed(rows: int, huber: float, iterations: int) -> WindowedLeastSquares:
+    """Return least squares on a window."""
+    return WindowedLeastSquares(rows, iterations, huber)
+
+
+def batch(huber: float) -> WindowedLeastSquares:
+    """Return least squares on all rows, once a second."""
+    return WindowedLeastSquares(None, 20, huber, every=50)
+
+
+def reset(drift: float, drift_of_others: float) -> ExtendedKalman:
+    """Return an extended Kalman filter that Bayesian change points reset."""
+    return ExtendedKalman(drift, drift_of_others, True, ChangePointAlarm(3.0))
+
+
+WALK = {"drift": (0.003, 0.01, 0.03, 0.1), "drift_of_others": (0.01, 0.03, 0.1)}
+MODES = {"quiet": (0.003, 0.01), "quick": (0.1, 0.3, 1.0), "drift_of_others": (0.01, 0.03)}
+LENGTHS = {"rows": (10, 20, 35, 50, 100, 200), "huber": (1.5, 2.5)}
+
+CONTENDERS: dict[str, Contender] = {
+    "tracker": Contender(TrackerSettings, {}, {}, ("own",)),
+    "imm_robust": Contender(
+        models,
+        {"quiet": 0.003, "quick": 0.3, "drift_of_others": 0.1, "guards": True},
+        {**MODES, "guards": (True,)},
+        (LEVEL, MODE, POINTS),
+    ),
+    "imm": Contender(
+        models,
+        {"quiet": 0.003, "quick": 0.3, "drift_of_others": 0.1, "guards": False},
+        {**MODES, "guards": (False,)},
+        (LEVEL, MODE, POINTS),
+    ),
+    "ekf_reset": Contender(
+        reset, {"drift": 0.003, "drift_of_others": 0.1},
+        {"drift": (0.001, 0.003, 0.01, 0.03), "drift_of_others": (0.01, 0.03, 0.1)},
+    ),
+    "ekf": Contender(ExtendedKalman, {"drift": 0.03, "drift_of_others": 0.1}, WALK),
+    "ukf": Contender(UnscentedKalman, {"drift": 0.03, "drift_of_others": 0.1}, WALK),
+    "rls": Contender(
+        RecursiveLeastSquares,
+        {"forgetting": 0.98, "reach": 0.4},
+        {"forgetting": (0.95, 0.97, 0.98, 0.99, 0.995, 0.999), "reach": (0.4, 10.0)},
+    ),
+    "lm_1": Contender(
+        windowed, {"rows": 50, "huber": 2.5, "iterations": 1}, {**LENGTHS, "iterations": (1,)},
+        share=0.5,
+    ),
+    "lm": Contender(
+        windowed, {"rows": 50, "huber": 2.5, "iterations": 20}, {**LENGTHS, "iterations": (20,)},
+        share=0.25, abreast=5,
+    ),
+    "batch_ls": Contender(
+        batch, {"huber": 2.5},
+        {"huber": (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0, 4.0, 100.0)},
+        share=0.5, abreast=5,
+    ),
+    "particles": Contender(
+        Particles, {"drift": 0.1, "drift_of_others": 0.1},
+        {"drift": (0.03, 0.1, 0.3, 0.6), "drift_of_others": (0.01, 0.03, 0.1)},
+        share=0.1, abreast=1,
+    ),
+    "bank": Contender(
+        Bank, {"rows": 20}, {"rows": (3, 5, 7, 10, 15, 20, 25, 30, 40, 50, 75, 100)},
+        (LEVEL,), share=0.1, abreast=1,
+    ),
+}  # fmt: skip
+
+
+def detectors(names: tuple[str, ...], thresholds: Mapping[str, float]) -> dict[str, Detector]:
+    """Return detectors by name, with infinite thresholds if none are given."""
+    kinds: dict[str, type[Detector]] = {
+        LEVEL: LevelAlarm, MODE: ModeAlarm, POINTS: ChangePointAlarm,
+    }  # fmt: skip
+    return {n: kinds[n](thresholds.get(n, float("inf"))) for n in names if n in kinds}

@@ -1,0 +1,258 @@
+"""Scores of one online method on all streams, with alarms calibrated on other seeds."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from baselines.online import Stream, bicycle, tire
+from baselines.online.alarms import Detector
+from experiments.benchmarks.online_methods import Contender, detectors
+from experiments.benchmarks.online_records import Record, records, seconds_of_row
+from miho.online import OnlineMethod
+
+TUNING, CALIBRATION, TEST, STRAIGHTS, HOURS = 1000, 5000, 20_000, 21_000, 30_000
+"""First seeds of the sets of streams."""
+FAULTS = ("nan", "dropout", "missing", "frozen", "time")
+CHANGES = ("jump", "ramp", "jump_outliers")
+MARGIN = 0.02
+"""The threshold of a peer's alarm is this share above its largest evidence in the calibration."""
+PIECE = 25
+"""Rows of an update of a method that has no lockstep, in the hours without a change."""
+Family = Callable[..., Stream]
+
+
+@dataclass
+class Progress:
+    """Lines to stderr with the seconds since the start."""
+
+    started: float = field(default_factory=time.perf_counter)
+
+    def __call__(self, text: str) -> None:
+        """Print a line."""
+        seconds = time.perf_counter() - self.started
+        print(f"{seconds:6.0f} s  {text}", file=sys.stderr, flush=True)
+
+
+@lru_cache(maxsize=2000)
+def stream(family: Family, kind: str, seed: int, seconds: float, drop: float = 0.35) -> Stream:
+    """Return a stream; all methods get the same object."""
+    return family(kind, seed, seconds, drop=drop)
+
+
+def streams(
+    family: Family, kind: str, first: int, count: int, seconds: float, drop: float = 0.35
+) -> list[Stream]:
+    """Return streams of consecutive seeds."""
+    return [stream(family, kind, first + k, seconds, drop) for k in range(count)]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A contender with its calibrated alarms, and the sizes of the test."""
+
+    contender: Contender
+    method: OnlineMethod
+    seeds: int
+    hours: float
+    thresholds: Mapping[str, float]
+    alarm: str
+
+    def over(self, each: Sequence[Stream], every: int = 1) -> list[Record]:
+        """Return the runs over streams with the chosen alarm."""
+        alarms = {self.alarm: detectors((self.alarm,), self.thresholds).get(self.alarm)}
+        known: dict[str, Detector] = {n: d for n, d in alarms.items() if d is not None}
+        return records(self.method, each, known, self.contender.abreast, every)
+
+
+def tuning_error(method: OnlineMethod, contender: Contender, quick: bool) -> float:
+    """Return the mean error on the tuning seeds' jumps, ramps and jumps with outliers, percent."""
+    families = (tire,) if contender.share < 0.25 else (tire, bicycle)
+    count = 1 if quick or contender.share < 0.25 else 4
+    errors = []
+    for family in families:
+        each = [one for kind in CHANGES for one in streams(family, kind, TUNING, count, 45.0)]
+        made = records(method, each, {}, contender.abreast)
+        errors += [record.errors().mean() for record in made]
+    return float(np.mean(errors))
+
+
+def calibrated(contender: Contender, family: Family, seeds: int, hours: float) -> Trial:
+    """Return the contender with thresholds from 1 h without a change, half of it with straights.
+
+    The alarm with the least mean delay on the tuning seeds is chosen; a missed change counts as
+    10 s.
+    """
+    method = contender.method()
+    seeds = max(2, round(seeds * (contender.share if contender.share < 0.25 else 1)))
+    hours = hours * contender.share
+    if contender.detectors == ("own",):
+        return Trial(contender, method, seeds, hours, {}, "own")
+    count = max(2, round(12 * min(1.0, contender.share, 2 * hours)))
+    peaks: dict[str, float] = {}
+    each = [
+        one
+        for k, kind in enumerate(("none", "mixed"))
+        for one in streams(family, kind, CALIBRATION + k * count, max(1, count // 2), 300.0)
+    ]
+    for record in records(method, each, detectors(contender.detectors, {}), contender.abreast):
+        for name, peak in record.peaks.items():
+            peaks[name] = max(peaks.get(name, -np.inf), peak)
+    thresholds = {name: peak + MARGIN * abs(peak) for name, peak in peaks.items()}
+    tried = records(
+        method,
+        streams(family, "jump", TUNING, 4, 45.0),
+        detectors(contender.detectors, thresholds),
+        contender.abreast,
+    )
+    delays = {
+        name: float(np.mean([min(record.alarm_delay(name), 10.0) for record in tried]))
+        for name in contender.detectors
+    }
+    best = min(delays, key=lambda name: delays[name])
+    return Trial(contender, method, seeds, hours, thresholds, best)
+
+
+def scored(
+    name: str, contender: Contender, seeds: int, hours: float, note: Progress
+) -> dict[str, Any]:
+    """Return all scores of a method by name of the column."""
+    row: dict[str, Any] = {"method": name}
+    for family, prefix in ((tire, ""), (bicycle, "car ")):
+        if prefix and contender.share < 0.25:
+            continue
+        trial = calibrated(contender, family, seeds, hours if not prefix else hours / 5)
+        note(f"{name}: {prefix}alarm {trial.alarm}, thresholds {_short(trial.thresholds)}")
+        row |= {prefix + key: value for key, value in _changes(trial, family).items()}
+        note(f"{name}: {prefix}changes")
+        row |= {prefix + key: value for key, value in _quiet(trial, family).items()}
+        note(f"{name}: {prefix}streams without a change")
+        if not prefix:
+            row |= _faults(trial)
+            row |= _other_sizes(trial)
+            note(f"{name}: faults")
+        row[prefix + "us"] = 1e6 * seconds_of_row(trial.method, stream(family, "jump", TEST, 60.0))
+    row["setting"] = ", ".join(f"{value:g}" for value in contender.chosen.values())
+    return row
+
+
+def _changes(trial: Trial, family: Family) -> dict[str, Any]:
+    """Delays, errors, coverage and alarms on jumps, ramps and jumps with outliers."""
+    n = trial.seeds
+    each = trial.over([one for kind in CHANGES for one in streams(family, kind, TEST, n, 60.0)])
+    jump, ramp, outliers = each[:n], each[n : 2 * n], each[2 * n :]
+    alarm = trial.alarm
+    late = [record.alarm_delay(alarm) for record in jump]
+    scale = _scale(trial, family)
+    return {
+        **_delays("10 %", [record.delay(0.10) for record in jump]),
+        **_delays("5 %", [record.delay(0.05) for record in jump]),
+        "error": np.mean([record.errors().mean() for record in jump]),
+        "error ramp": np.mean([record.errors().mean() for record in ramp]),
+        "error outliers": np.mean([record.errors().mean() for record in outliers]),
+        "10 % outliers": np.median([record.delay(0.10) for record in outliers]),
+        "before": np.mean([record.coverage(10, 30) for record in jump]),
+        "after": np.mean([record.coverage(32) for record in jump]),
+        "ramp": np.mean([record.coverage(30, 40) for record in ramp]),
+        "scale": scale,
+        "before scaled": np.mean([record.coverage(10, 30, scale) for record in jump]),
+        "after scaled": np.mean([record.coverage(32, scale=scale) for record in jump]),
+        "alarm": alarm,
+        **_delays("alarm s", late),
+        "missed": int(np.isinf(late).sum()),
+        "most alarms": max(record.alarm_count(alarm) for record in jump),
+        "seeds": trial.seeds,
+    }  # fmt: skip
+
+
+def _scale(trial: Trial, family: Family) -> float:
+    """Factor of the intervals by which they hold 95 % on the tuning seeds."""
+    each = trial.over(streams(family, "jump", TUNING, 4, 45.0))
+    ratios = [
+        (np.abs(record.theta - record.truth) / record.reach)[record.clock >= 10] for record in each
+    ]
+    return float(np.quantile(np.concatenate(ratios), 0.95))
+
+
+def _quiet(trial: Trial, family: Family) -> dict[str, Any]:
+    """False alarms an hour, coverage in mixed driving, and the change of estimates on straights."""
+    hours = trial.hours
+    count = _count(hours / 8 / len(FAULTS), 60)
+    sets = {
+        "mixed": streams(family, "mixed", HOURS, _count(hours / 2, 300), 300.0),
+        "straight": streams(family, "straight", STRAIGHTS, _count(hours / 4, 330), 330.0),
+        "outliers": streams(family, "outliers", STRAIGHTS, _count(hours / 8, 300), 300.0),
+        "faults": [one for kind in FAULTS for one in streams(family, kind, HOURS, count, 60.0)],
+    }
+    parts = {name: trial.over(each, PIECE) for name, each in sets.items()}
+    alarms = {n: sum(len(r.alarms[trial.alarm]) for r in each) for n, each in parts.items()}
+    spent = {n: sum(len(r.stream) for r in each) / 180_000 for n, each in parts.items()}
+    moved, grown = zip(*(_on_straight(record) for record in parts["straight"]), strict=True)
+    scale = _scale(trial, family)
+    return {
+        "mixed": np.mean([record.coverage() for record in parts["mixed"]]),
+        "mixed scaled": np.mean([record.coverage(scale=scale) for record in parts["mixed"]]),
+        **{f"false {n}": f"{alarms[n]} in {spent[n]:.2g} h" for n in parts},
+        "false an hour": sum(alarms.values()) / sum(spent.values()),
+        "hours": sum(spent.values()),
+        "moved sd": np.median(moved),
+        "interval grows": np.median(grown),
+    }
+
+
+def _on_straight(record: Record) -> tuple[float, float]:
+    """Largest move of an estimate on the straight, in deviations at its start; their growth."""
+    k = int(np.searchsorted(record.clock, 30.0)) - 1
+    moves = np.abs(record.theta[k:] - record.theta[k]).max(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        deviations = record.reach / 1.959964
+        return float(np.max(moves / deviations[k])), float(np.min(deviations[-1] / deviations[k]))
+
+
+def _faults(trial: Trial) -> dict[str, Any]:
+    """Median over seeds of the largest error from the fault on, and the longest recovery."""
+    row: dict[str, Any] = {}
+    slowest = 0.0
+    kinds, n = (*FAULTS, "delay"), trial.seeds
+    made = trial.over([one for kind in kinds for one in streams(tire, kind, TEST, n, 45.0)])
+    for k, kind in enumerate(kinds):
+        each = made[k * n : (k + 1) * n]
+        row[f"fault {kind}"] = np.median([record.errors(30.0).max() for record in each])
+        if kind != "delay":
+            slowest = max(slowest, float(np.median([record.recovery(1.5) for record in each])))
+    return {**row, "recovery": slowest}
+
+
+def _other_sizes(trial: Trial) -> dict[str, Any]:
+    """Median delay to 5 % after smaller and larger jumps, and of a jump of the stiffness."""
+    count = min(trial.seeds, 10)
+    drops = (0.1, 0.2, 0.5)
+    made = trial.over(
+        [one for drop in drops for one in streams(tire, "jump", TEST, count, 45.0, drop)]
+    )
+    late = np.median(np.reshape([record.delay(0.05) for record in made], (3, -1)), axis=1)
+    each = trial.over(streams(tire, "stiffness", TEST, count, 45.0))
+    stiffness = np.median([record.delay(0.10) for record in each])
+    names = [f"5 % of {drop:g}" for drop in drops]
+    return {**dict(zip(names, late.tolist(), strict=True)), "10 % of stiffness": stiffness}
+
+
+def _count(hours: float, seconds: float) -> int:
+    """Number of streams of this length in some hours, at least one."""
+    return max(1, round(3600 * hours / seconds))
+
+
+def _delays(name: str, values: Sequence[float]) -> dict[str, float]:
+    """Median and 90 % quantile."""
+    high = float(np.quantile(values, 0.9, method="higher"))
+    return {name: float(np.median(values)), f"{name} q90": high}
+
+
+def _short(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in values.items()) or "own"
