@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from baselines.online.bicycle import bicycle
     from baselines.online.extended_kalman import ExtendedKalman
     from baselines.online.interacting_models import InteractingModels
+    from baselines.online.longitudinal import longitudinal
     from baselines.online.particles import Particles
     from baselines.online.recursive_least_squares import RecursiveLeastSquares
     from baselines.online.streams import Stream, tire
@@ -29,6 +30,7 @@ __all__ = [
     "UnscentedKalman",
     "WindowedLeastSquares",
     "bicycle",
+    "longitudinal",
     "tire",
 ]
 

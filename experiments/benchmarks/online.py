@@ -38,10 +38,12 @@ TABLES = {
         "most alarms", "false an hour", "hours", "false mixed", "false straight",
         "false outliers", "false faults",
     ),
-    "Tire: straights of 5 min, faults (largest error, percent), other jumps": (
+    "Tire: straights of 5 min, faults (largest error, percent), delay of other jumps to 5 %"
+    " (stiffness to 10 %)": (
         "moved sd", "interval grows", "fault nan", "fault dropout", "fault missing",
         "fault frozen", "fault time", "fault delay", "recovery",
-        "5 % of 0.1", "5 % of 0.2", "5 % of 0.5", "10 % of stiffness",
+        "delay D by 0.1", "delay D by 0.2", "delay D by 0.5", "delay stiffness",
+        "delay mass", "delay brake_gain", "delay drag",
     ),
     "Car: vx, vy and yaw rate": (
         "car 10 %", "car 10 % q90", "car 5 %", "car 5 % q90", "car error", "car error ramp",

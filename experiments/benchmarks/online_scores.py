@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.online import Stream, bicycle, tire
+from baselines.online import Stream, bicycle, longitudinal, tire
 from baselines.online.alarms import Detector
 from experiments.benchmarks.online_methods import Contender, detectors
 from experiments.benchmarks.online_records import Record, records, seconds_of_row
@@ -20,6 +20,7 @@ from miho.online import OnlineMethod
 TUNING, CALIBRATION, TEST, STRAIGHTS, HOURS = 1000, 5000, 20_000, 21_000, 30_000
 """First seeds of the sets of streams."""
 FAULTS = ("nan", "dropout", "missing", "frozen", "time")
+LONGITUDINAL = ("mass", "brake_gain", "drag")
 CHANGES = ("jump", "ramp", "jump_outliers")
 MARGIN = 0.02
 """The threshold of a peer's alarm is this share above its largest evidence in the calibration."""
@@ -135,7 +136,7 @@ def scored(
         note(f"{name}: {prefix}streams without a change")
         if not prefix:
             row |= _faults(trial)
-            row |= _other_sizes(trial)
+            row |= _other_changes(trial)
             note(f"{name}: faults")
         row[prefix + "us"] = 1e6 * seconds_of_row(trial.method, stream(family, "jump", TEST, 60.0))
     row["setting"] = ", ".join(f"{value:g}" for value in contender.chosen.values())
@@ -229,18 +230,18 @@ def _faults(trial: Trial) -> dict[str, Any]:
     return {**row, "recovery": slowest}
 
 
-def _other_sizes(trial: Trial) -> dict[str, Any]:
-    """Median delay to 5 % after smaller and larger jumps, and of a jump of the stiffness."""
-    count = min(trial.seeds, 10)
-    drops = (0.1, 0.2, 0.5)
-    made = trial.over(
-        [one for drop in drops for one in streams(tire, "jump", TEST, count, 45.0, drop)]
-    )
-    late = np.median(np.reshape([record.delay(0.05) for record in made], (3, -1)), axis=1)
-    each = trial.over(streams(tire, "stiffness", TEST, count, 45.0))
-    stiffness = np.median([record.delay(0.10) for record in each])
-    names = [f"5 % of {drop:g}" for drop in drops]
-    return {**dict(zip(names, late.tolist(), strict=True)), "10 % of stiffness": stiffness}
+def _other_changes(trial: Trial) -> dict[str, Any]:
+    """Median delays after smaller and larger jumps of D, and after jumps of other parameters."""
+    n, drops = min(trial.seeds, 10), (0.1, 0.2, 0.5)
+    sets = {f"D by {drop:g}": streams(tire, "jump", TEST, n, 45.0, drop) for drop in drops}
+    sets["stiffness"] = streams(tire, "stiffness", TEST, n, 45.0)
+    for name in LONGITUDINAL:
+        sets[name] = streams(longitudinal, name, TEST, n, 45.0, 0.2)
+    row = {}
+    for name, each in sets.items():
+        late = [record.delay(0.10 if name == "stiffness" else 0.05) for record in trial.over(each)]
+        row[f"delay {name}"] = np.median(late)
+    return row
 
 
 def _count(hours: float, seconds: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from baselines.online import Stream, bicycle, tire
+from baselines.online import Stream, bicycle, longitudinal, tire
 from baselines.online.bicycle import KINDS as OF_CAR
 from baselines.online.streams import KINDS, SUDDEN
 
@@ -41,6 +41,17 @@ def test_the_truth_explains_the_motion() -> None:
         # The state before and after the step has noise: at least the square root of 2.
         assert 1.2 < errors.std() < 1.7
         assert abs(errors.mean()) < 0.25
+
+
+@pytest.mark.parametrize("kind", ["none", "mass", "brake_gain", "drag"])
+def test_the_truth_explains_the_acceleration(kind: str) -> None:
+    stream = longitudinal(kind, 5, seconds=40, at=20, drop=0.2)
+    (errors,) = residuals(stream)
+    assert 0.9 < errors.std() < 1.1  # 2,000 rows of noise alone
+    ends = {name: truth[-1] / truth[0] for name, truth in stream.truth.items()}
+    assert ends == {name: pytest.approx(0.8 if name == kind else 1.0) for name in ends}
+    assert np.ptp(stream.columns["speed"]) > 20
+    assert stream.columns["pressure"].max() > 0
 
 
 def test_the_grip_falls_as_stated() -> None:
