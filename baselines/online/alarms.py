@@ -17,19 +17,28 @@ if TYPE_CHECKING:
     from baselines.online.peer import Peer
     from baselines.online.setup import Setup
 
-HOLD = 10.0
-"""Time after an alarm without another one [s], so that one change raises one alarm."""
 SETTLE = 10.0
 """Time after the start without an alarm [s]."""
+WIDER = 20.0
+"""Standard deviation of outliers, in standard deviations of the noise."""
 MEMORY = 20.0
 """Time constant of the slow mean of a parameter [s]."""
 
 
 @dataclass(frozen=True)
 class Detector(ABC):
-    """Abstract base class of an alarm's settings."""
+    """Abstract base class of an alarm's settings.
+
+    Parameters
+    ----------
+    threshold : float, optional
+        Evidence that raises an alarm.
+    hold : float, optional
+        Time after an alarm without another one [s], so that one change raises one alarm.
+    """
 
     threshold: float = math.inf
+    hold: float = 10.0
 
     @abstractmethod
     def watch(self, setup: Setup) -> Watch:
@@ -49,17 +58,17 @@ class Watch(ABC):
         The latest alarm of the first run.
     """
 
-    def __init__(self, setup: Setup, threshold: float) -> None:
+    def __init__(self, setup: Setup, settings: Detector) -> None:
         self.setup = setup
-        self.threshold = threshold
+        self.threshold, self.hold = settings.threshold, settings.hold
         self.means = setup.theta.copy()
         self.fired = np.zeros(len(setup.theta), dtype=bool)
         self.alarm: Alarm | None = None
         self._quiet = np.full(len(setup.theta), SETTLE)
 
     @abstractmethod
-    def statistic(self, peer: Peer, x: Array, y: Array) -> Array:
-        """Take a row that the peer has learnt, and return the evidence for a change (S,)."""
+    def statistic(self, peer: Peer) -> Array:
+        """Take the row that the peer has learnt, and return the evidence for a change (S,)."""
 
     @final
     def judge(self, peer: Peer, statistic: Array) -> NDArray[np.bool_]:
@@ -68,7 +77,7 @@ class Watch(ABC):
         self._quiet -= period
         fired = (statistic > self.threshold) & (self._quiet <= 0)
         if fired.any():
-            self._quiet[fired] = HOLD
+            self._quiet[fired] = self.hold
             if fired[0]:
                 self.alarm = self._described(peer)
             self._restart(fired)
@@ -98,11 +107,11 @@ class LevelAlarm(Detector):
 
     def watch(self, setup: Setup) -> Watch:
         """Return a watch that has seen no row."""
-        return _LevelWatch(setup, self.threshold)
+        return _LevelWatch(setup, self)
 
 
 class _LevelWatch(Watch):
-    def statistic(self, peer: Peer, x: Array, y: Array) -> Array:
+    def statistic(self, peer: Peer) -> Array:
         moves = np.abs(peer.theta - self.means) / self.setup.sizes
         return np.asarray(moves[:, self.setup.watched].max(axis=1))
 
@@ -121,11 +130,11 @@ class ModeAlarm(Detector):
 
     def watch(self, setup: Setup) -> Watch:
         """Return a watch that has seen no row."""
-        return _ModeWatch(setup, self.threshold)
+        return _ModeWatch(setup, self)
 
 
 class _ModeWatch(Watch):
-    def statistic(self, peer: Peer, x: Array, y: Array) -> Array:
+    def statistic(self, peer: Peer) -> Array:
         p = np.clip(peer.probability, 1e-300, 1 - 1e-16)
         return np.asarray(np.log(p / (1 - p)))
 
@@ -143,14 +152,16 @@ class ChangePointAlarm(Detector):
 
     Parameters
     ----------
-    threshold : float, optional
-        Log odds that raise an alarm.
+    threshold, hold : float, optional
+        Log odds that raise an alarm, and time without another one [s].
     hazard : float, optional
         Probability of a change in a row.
     recent : int, optional
         A change within this number of rows counts.
     longest : int, optional
         Number of run lengths that are kept; the last one stands for all longer ones.
+    outliers : float, optional
+        Share of observations with 20 times the standard deviation. The source has none.
 
     References
     ----------
@@ -160,6 +171,7 @@ class ChangePointAlarm(Detector):
     hazard: float = 1e-3
     recent: int = 25
     longest: int = 200
+    outliers: float = 0.0
 
     def watch(self, setup: Setup) -> Watch:
         """Return a watch that has seen no row."""
@@ -170,7 +182,7 @@ class _ChangePointWatch(Watch):
     """Runs of 0 to longest - 1 informative rows, of each watched parameter of each run."""
 
     def __init__(self, setup: Setup, settings: ChangePointAlarm) -> None:
-        super().__init__(setup, settings.threshold)
+        super().__init__(setup, settings)
         self.settings = settings
         k = setup.watched
         self.start = setup.theta[:, k], setup.changes[:, k] ** 2
@@ -187,14 +199,14 @@ class _ChangePointWatch(Watch):
             values[fired, :, -1:] = np.take_along_axis(values, best, -1)[fired]
         self.shares[fired, :, :-1], self.shares[fired, :, -1] = 0.0, 1.0
 
-    def statistic(self, peer: Peer, x: Array, y: Array) -> Array:
-        f, J, r = self.setup.predicted(peer.theta, x)
+    def statistic(self, peer: Peer) -> Array:
+        f, J, r = self.setup.predicted(peer.theta, peer.x)
         k = self.setup.watched
-        seen = np.isfinite(y)
+        seen = np.isfinite(peer.y)
         weighted = J[..., k] * (seen / r)[..., None]  # (S, m, watched)
         information = np.sum(weighted * J[..., k], axis=1)
         informs = information * self.start[1] >= 1  # a row that says less than the prior is skipped
-        residuals = np.where(seen, y - f, 0.0)
+        residuals = np.where(seen, peer.y - f, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             values = peer.theta[:, k] + np.sum(weighted * residuals[..., None], 1) / information
             self._observe(informs, values[..., None], 1 / information[..., None])
@@ -205,11 +217,18 @@ class _ChangePointWatch(Watch):
     def _observe(self, informs: NDArray[np.bool_], value: Array, variance: Array) -> None:
         """Lines 3 to 8 of the algorithm, for one value of each parameter that the row informs."""
         total = self.variances + variance
-        predictive = np.log(np.maximum(self.shares, 1e-300))
-        predictive -= 0.5 * ((value - self.centres) ** 2 / total + np.log(total))
+        square = (value - self.centres) ** 2
+        likelihood, trust = -0.5 * (square / total + np.log(total)), 1.0
+        if self.settings.outliers:
+            wide = total + WIDER**2 * variance
+            inlier = np.log(1 - self.settings.outliers) + likelihood
+            outlier = np.log(self.settings.outliers) - 0.5 * (square / wide + np.log(wide))
+            likelihood = np.logaddexp(inlier, outlier)
+            trust = np.maximum(np.exp(inlier - likelihood), 1e-6)
+        predictive = np.log(np.maximum(self.shares, 1e-300)) + likelihood
         shares = np.exp(predictive - predictive.max(axis=-1, keepdims=True))
         shares /= shares.sum(axis=-1, keepdims=True)
-        gain = self.variances / total
+        gain = trust * self.variances / total
         hazard = np.full(shares.shape[:-1], self.settings.hazard)
         grown = _longer(hazard, (1 - self.settings.hazard) * shares)
         centres = _longer(self.start[0], self.centres + gain * (value - self.centres), shares)

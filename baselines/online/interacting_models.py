@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.online.alarms import Detector, LevelAlarm
+from baselines.online.alarms import WIDER, Detector, LevelAlarm
 from baselines.online.extended_kalman import updated, walk_variances, widened
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import TEACHING, Setup
 from miho.quantities import Array
 
-OUTLIERS, WIDER = 0.02, 20.0
-"""Share of outliers, and their standard deviation in that of the noise."""
+OUTLIERS = 0.02
+"""Share of outliers."""
 LONGEST_GAP = 1.0
 """Longest time that passes between two rows, with guards [s]."""
 
@@ -35,6 +35,8 @@ class InteractingModels(PeerMethod):
         Whether the filters have the guards of MIHO's tracker: a mixture with outliers as
         likelihood; a value that repeats exactly is skipped; a row with a small derivative by a
         watched parameter does not change it (Schmidt's consider filter); gaps of time are limited.
+    resets : bool, optional
+        Whether an alarm adds the variance of a jump to the covariances.
     detector : Detector, optional
         The alarm.
 
@@ -49,6 +51,7 @@ class InteractingModels(PeerMethod):
     to_quick: float = 1e-3
     to_quiet: float = 0.1
     guards: bool = False
+    resets: bool = False
     detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
@@ -60,8 +63,8 @@ class _InteractingModelsRun(Peer):
     """Modes are the second axis: estimates (S, N, d), covariances (S, N, d, d), shares (S, N)."""
 
     def __init__(self, setup: Setup, settings: InteractingModels) -> None:
-        super().__init__(setup, settings.detector)
-        self.guards = settings.guards
+        super().__init__(setup, settings.detector, skips_repeats=settings.guards)
+        self.guards, self.resets = settings.guards, settings.resets
         modes = len(settings.drifts)
         others = settings.drift_of_others
         self.walks = np.stack([walk_variances(setup, q, others) for q in settings.drifts], axis=1)
@@ -71,14 +74,16 @@ class _InteractingModelsRun(Peer):
         self.thetas = np.repeat(setup.theta[:, None], modes, axis=1)
         self.covariances = np.repeat(setup.covariance[:, None], modes, axis=1)
         self.least_slopes = TEACHING * setup.largest_slopes * (setup.changes > 0)[:, None]
-        self.last = np.full((len(setup.theta), len(setup.system.outputs)), np.nan)
 
     def drift(self, seconds: Array) -> None:
         if self.guards:
             seconds = np.minimum(seconds, LONGEST_GAP)
         if self.shares.shape[1] > 1:
             self._mix()
-        self.covariances = widened(self.covariances, seconds[:, None, None] * self.walks)
+        variances = seconds[:, None, None] * self.walks
+        if self.resets:
+            variances += (self.watch.fired[:, None] * self.setup.changes**2)[:, None]
+        self.covariances = widened(self.covariances, variances)
 
     def _mix(self) -> None:
         """Mix the modes; the shares become the predicted ones (Eq. 7 to 9)."""
@@ -94,8 +99,6 @@ class _InteractingModelsRun(Peer):
         self.thetas, self.covariances = means, mixed + spread.sum(axis=1)
 
     def learn(self, x: Array, y: Array) -> None:
-        if self.guards:
-            y, self.last = np.where(y == self.last, np.nan, y), y
         inputs = np.broadcast_to(x[:, None], (*self.shares.shape, x.shape[1]))
         f, J, r = self.setup.predicted(self.thetas, inputs)
         start, log_likelihood = self.thetas, np.zeros(self.shares.shape)

@@ -59,9 +59,11 @@ class Peer(Running):
         Probability of a change in the view of the method; NaN for a method without it.
     statistic : ndarray, shape (S,)
         The quantity that the detector compares with its threshold.
+    x, y : ndarray, shape (S, p) and (S, m)
+        The last row; an output that was not used is NaN.
     """
 
-    def __init__(self, setup: Setup, detector: Detector) -> None:
+    def __init__(self, setup: Setup, detector: Detector, skips_repeats: bool = False) -> None:
         self.setup = setup
         self.watch = detector.watch(setup)
         self.theta = setup.theta.copy()
@@ -70,7 +72,10 @@ class Peer(Running):
         self.statistic = np.zeros(len(setup.theta))
         self.time = np.full(len(setup.theta), np.nan)
         self.count = 0
-        self._inputs = setup.example
+        self.x = setup.example
+        self.y = np.full((len(setup.theta), len(setup.system.outputs)), np.nan)
+        self._last = self.y
+        self._skips_repeats = skips_repeats
 
     @abstractmethod
     def drift(self, seconds: Array) -> None:
@@ -95,11 +100,12 @@ class Peer(Running):
         self.drift(np.full(len(x), period) if first else np.maximum(now - self.time, 0.0))
         self.time = now
         whole = np.isfinite(x).all(axis=1, keepdims=True)
-        x, y = np.where(whole, x, self._inputs), np.where(whole, y, np.nan)
-        self._inputs = x
-        self.learn(x, y)
+        repeats = (y == self._last) & self._skips_repeats
+        self.x, self._last = np.where(whole, x, self.x), y
+        self.y = np.where(whole & ~repeats, y, np.nan)
+        self.learn(self.x, self.y)
         self.count += 1
-        self.statistic = self.watch.statistic(self, x, y)
+        self.statistic = self.watch.statistic(self)
         return self.watch.judge(self, self.statistic)
 
     @final

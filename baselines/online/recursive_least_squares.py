@@ -78,4 +78,5 @@ class _RecursiveLeastSquaresRun(Peer):
             forgotten = np.where(counts, self.forgetting, 1.0)
             P = self.covariance / np.where(self.learns, forgotten[:, None], 1.0)[:, None]
             residual = np.where(counts, residual, np.nan)
-            self.theta, self.covariance = updated(self.theta, P, residual, slopes, r[:, o], setup)
+            self.theta, P = updated(self.theta, P, residual, slopes, r[:, o], setup)
+            self.covariance = (P + P.swapaxes(1, 2)) / 2

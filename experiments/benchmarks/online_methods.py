@@ -7,7 +7,7 @@ the tuning seeds; CHOSEN are its results, which are in `conf/tracker` too.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -29,6 +29,7 @@ from miho.online import OnlineMethod, TrackerSettings
 TRIED = 12
 """Number of settings that each peer may try."""
 LEVEL, MODE, POINTS = "level", "mode", "change points"
+ROBUST_POINTS = "robust points"
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,13 @@ def batch(huber: float) -> WindowedLeastSquares:
 
 def reset(drift: float, drift_of_others: float) -> ExtendedKalman:
     """Return an extended Kalman filter that Bayesian change points reset."""
-    return ExtendedKalman(drift, drift_of_others, True, ChangePointAlarm(3.0))
+    return ExtendedKalman(drift, drift_of_others, True, ChangePointAlarm(3.0, hold=1.5))
+
+
+def robust_reset(drift: float, drift_of_others: float) -> InteractingModels:
+    """Return an extended Kalman filter with the tracker's guards that change points reset."""
+    alarm = ChangePointAlarm(3.0, hold=1.5, outliers=0.02)
+    return InteractingModels((drift,), drift_of_others, guards=True, resets=True, detector=alarm)
 
 
 WALK = {"drift": (0.003, 0.01, 0.03, 0.1), "drift_of_others": (0.01, 0.03, 0.1)}
@@ -95,34 +102,40 @@ CONTENDERS: dict[str, Contender] = {
     "tracker": Contender(TrackerSettings, {}, {}, ("own",)),
     "imm_robust": Contender(
         models,
-        {"quiet": 0.003, "quick": 0.3, "drift_of_others": 0.1, "guards": True},
+        {"quiet": 0.003, "quick": 0.3, "drift_of_others": 0.03, "guards": True},
         {**MODES, "guards": (True,)},
-        (LEVEL, MODE, POINTS),
+        (LEVEL, MODE, POINTS, ROBUST_POINTS),
     ),
     "imm": Contender(
         models,
-        {"quiet": 0.003, "quick": 0.3, "drift_of_others": 0.1, "guards": False},
+        {"quiet": 0.003, "quick": 0.1, "drift_of_others": 0.03, "guards": False},
         {**MODES, "guards": (False,)},
         (LEVEL, MODE, POINTS),
     ),
+    "ekf_robust_reset": Contender(
+        robust_reset,
+        {"drift": 0.01, "drift_of_others": 0.01},
+        {"drift": (0.001, 0.003, 0.01, 0.03), "drift_of_others": (0.01, 0.03, 0.1)},
+        (LEVEL, POINTS, ROBUST_POINTS),
+    ),
     "ekf_reset": Contender(
-        reset, {"drift": 0.003, "drift_of_others": 0.1},
+        reset, {"drift": 0.01, "drift_of_others": 0.01},
         {"drift": (0.001, 0.003, 0.01, 0.03), "drift_of_others": (0.01, 0.03, 0.1)},
     ),
-    "ekf": Contender(ExtendedKalman, {"drift": 0.03, "drift_of_others": 0.1}, WALK),
-    "ukf": Contender(UnscentedKalman, {"drift": 0.03, "drift_of_others": 0.1}, WALK),
+    "ekf": Contender(ExtendedKalman, {"drift": 0.01, "drift_of_others": 0.01}, WALK),
+    "ukf": Contender(UnscentedKalman, {"drift": 0.01, "drift_of_others": 0.01}, WALK),
     "rls": Contender(
         RecursiveLeastSquares,
-        {"forgetting": 0.98, "reach": 0.4},
+        {"forgetting": 0.99, "reach": 10.0},
         {"forgetting": (0.95, 0.97, 0.98, 0.99, 0.995, 0.999), "reach": (0.4, 10.0)},
     ),
     "lm_1": Contender(
-        windowed, {"rows": 50, "huber": 2.5, "iterations": 1}, {**LENGTHS, "iterations": (1,)},
+        windowed, {"rows": 50, "huber": 1.5, "iterations": 1}, {**LENGTHS, "iterations": (1,)},
         share=0.5,
     ),
     "lm": Contender(
-        windowed, {"rows": 50, "huber": 2.5, "iterations": 20}, {**LENGTHS, "iterations": (20,)},
-        share=0.25, abreast=5,
+        windowed, {"rows": 50, "huber": 1.5, "iterations": 20}, {**LENGTHS, "iterations": (20,)},
+        share=0.2, abreast=5,
     ),
     "batch_ls": Contender(
         batch, {"huber": 2.5},
@@ -143,7 +156,14 @@ CONTENDERS: dict[str, Contender] = {
 
 def detectors(names: tuple[str, ...], thresholds: Mapping[str, float]) -> dict[str, Detector]:
     """Return detectors by name, with infinite thresholds if none are given."""
-    kinds: dict[str, type[Detector]] = {
-        LEVEL: LevelAlarm, MODE: ModeAlarm, POINTS: ChangePointAlarm,
-    }  # fmt: skip
-    return {n: kinds[n](thresholds.get(n, float("inf"))) for n in names if n in kinds}
+    made: dict[str, Detector] = {
+        LEVEL: LevelAlarm(),
+        MODE: ModeAlarm(),
+        POINTS: ChangePointAlarm(),
+        ROBUST_POINTS: ChangePointAlarm(outliers=0.02),
+    }
+    return {
+        name: replace(made[name], threshold=thresholds.get(name, float("inf")))
+        for name in names
+        if name in made
+    }

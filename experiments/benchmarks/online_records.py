@@ -153,11 +153,12 @@ def _lockstep(
         peer.advance(T[i], X[i], Y[i])
         theta[i], variance[i] = peer.theta[:, k], peer.covariance[:, k, k]
         for name, watch in watches.items():
-            statistic = watch.statistic(peer, X[i], Y[i])
+            statistic = watch.statistic(peer)
             fired[name][i] = watch.judge(peer, statistic)
             if i >= SETTLED / peer.setup.period:
                 peaks[name] = np.maximum(peaks[name], statistic)
-    reach = ORDINATE * np.sqrt(variance)
+    with np.errstate(invalid="ignore"):  # forgetting may lose the covariance
+        reach = ORDINATE * np.sqrt(variance)
     return [
         Record(
             stream,

@@ -225,7 +225,7 @@ def _faults(trial: Trial) -> dict[str, Any]:
     for k, kind in enumerate(kinds):
         each = made[k * n : (k + 1) * n]
         row[f"fault {kind}"] = np.median([record.errors(30.0).max() for record in each])
-        if kind != "delay":
+        if each[0].stream.end is not None:
             slowest = max(slowest, float(np.median([record.recovery(1.5) for record in each])))
     return {**row, "recovery": slowest}
 
