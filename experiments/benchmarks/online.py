@@ -49,7 +49,8 @@ TABLES = {
         "car 10 %", "car 10 % q90", "car 5 %", "car 5 % q90", "car error", "car error ramp",
         "car error outliers", "car before", "car after", "car ramp", "car mixed", "car scale",
         "car before scaled", "car after scaled", "car mixed scaled", "car alarm", "car alarm s",
-        "car missed", "car most alarms", "car false an hour", "car hours", "car us",
+        "car missed", "car most alarms", "car false an hour", "car hours", "car false mixed",
+        "car false straight", "car false outliers", "car false faults", "car us",
     ),
 }  # fmt: skip
 """Columns of the printed tables."""

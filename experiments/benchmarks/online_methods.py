@@ -95,26 +95,26 @@ def robust_reset(drift: float, drift_of_others: float) -> InteractingModels:
 
 
 WALK = {"drift": (0.003, 0.01, 0.03, 0.1), "drift_of_others": (0.01, 0.03, 0.1)}
-MODES = {"quiet": (0.003, 0.01), "quick": (0.1, 0.3, 1.0), "drift_of_others": (0.01, 0.03)}
+MODES = {"quiet": (0.001, 0.003), "quick": (0.1, 0.3, 1.0), "drift_of_others": (0.01, 0.03)}
 LENGTHS = {"rows": (10, 20, 35, 50, 100, 200), "huber": (1.5, 2.5)}
 
 CONTENDERS: dict[str, Contender] = {
     "tracker": Contender(TrackerSettings, {}, {}, ("own",)),
     "imm_robust": Contender(
         models,
-        {"quiet": 0.003, "quick": 0.3, "drift_of_others": 0.03, "guards": True},
+        {"quiet": 0.001, "quick": 0.3, "drift_of_others": 0.01, "guards": True},
         {**MODES, "guards": (True,)},
         (LEVEL, MODE, POINTS, ROBUST_POINTS),
     ),
     "imm": Contender(
         models,
-        {"quiet": 0.003, "quick": 0.1, "drift_of_others": 0.03, "guards": False},
+        {"quiet": 0.001, "quick": 0.1, "drift_of_others": 0.01, "guards": False},
         {**MODES, "guards": (False,)},
         (LEVEL, MODE, POINTS),
     ),
     "ekf_robust_reset": Contender(
         robust_reset,
-        {"drift": 0.01, "drift_of_others": 0.01},
+        {"drift": 0.01, "drift_of_others": 0.1},
         {"drift": (0.001, 0.003, 0.01, 0.03), "drift_of_others": (0.01, 0.03, 0.1)},
         (LEVEL, POINTS, ROBUST_POINTS),
     ),

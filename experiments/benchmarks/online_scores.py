@@ -236,7 +236,7 @@ def _other_changes(trial: Trial) -> dict[str, Any]:
     sets = {f"D by {drop:g}": streams(tire, "jump", TEST, n, 45.0, drop) for drop in drops}
     sets["stiffness"] = streams(tire, "stiffness", TEST, n, 45.0)
     for name in LONGITUDINAL:
-        sets[name] = streams(longitudinal, name, TEST, n, 45.0, 0.2)
+        sets[name] = streams(longitudinal, name, TEST, n, 90.0, 0.2)
     row = {}
     for name, each in sets.items():
         late = [record.delay(0.10 if name == "stiffness" else 0.05) for record in trial.over(each)]
