@@ -95,12 +95,12 @@ def calibrated(contender: Contender, family: Family, seeds: int, hours: float) -
     hours = hours * contender.share
     if contender.detectors == ("own",):
         return Trial(contender, method, seeds, hours, {}, "own")
-    count = max(2, round(12 * min(1.0, contender.share, 2 * hours)))
+    count = max(2, round(24 * min(1.0, contender.share, 2 * hours)))
     peaks: dict[str, float] = {}
     each = [
         one
         for k, kind in enumerate(("none", "mixed"))
-        for one in streams(family, kind, CALIBRATION + k * count, max(1, count // 2), 300.0)
+        for one in streams(family, kind, CALIBRATION + k * count, max(1, count // 2), 150.0)
     ]
     for record in records(method, each, detectors(contender.detectors, {}), contender.abreast):
         for name, peak in record.peaks.items():
@@ -186,12 +186,13 @@ def _quiet(trial: Trial, family: Family) -> dict[str, Any]:
     hours = trial.hours
     count = _count(hours / 8 / len(FAULTS), 60)
     sets = {
-        "mixed": streams(family, "mixed", HOURS, _count(hours / 2, 300), 300.0),
+        "mixed": streams(family, "mixed", HOURS, _count(hours / 2, 330), 330.0),
         "straight": streams(family, "straight", STRAIGHTS, _count(hours / 4, 330), 330.0),
-        "outliers": streams(family, "outliers", STRAIGHTS, _count(hours / 8, 300), 300.0),
+        "outliers": streams(family, "outliers", STRAIGHTS, _count(hours / 8, 330), 330.0),
         "faults": [one for kind in FAULTS for one in streams(family, kind, HOURS, count, 60.0)],
     }
-    parts = {name: trial.over(each, PIECE) for name, each in sets.items()}
+    made = iter(trial.over([one for each in sets.values() for one in each], PIECE))
+    parts = {name: [next(made) for _ in each] for name, each in sets.items()}
     alarms = {n: sum(len(r.alarms[trial.alarm]) for r in each) for n, each in parts.items()}
     spent = {n: sum(len(r.stream) for r in each) / 180_000 for n, each in parts.items()}
     moved, grown = zip(*(_on_straight(record) for record in parts["straight"]), strict=True)
