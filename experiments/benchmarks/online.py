@@ -23,7 +23,7 @@ import pandas as pd
 
 from baselines.online import tire
 from baselines.online.streams import FORCE_NOISE
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.online_methods import CONTENDERS, Contender
 from experiments.benchmarks.online_scores import Progress, scored, stream, tuning_error
 
@@ -71,7 +71,7 @@ def measure(quick: bool, tune: bool, seeds: int, hours: float, methods: str) -> 
         if tune and contender.grid:
             contender = tuned(name, contender, quick, note)
         facts[name] = dict(contender.chosen)
-        rows.append(scored(name, contender, seeds, hours, note))
+        rows += shown([scored(name, contender, seeds, hours, note)])
     rows.append({"method": "oracle", **oracle(10 if quick else ORACLE_SEEDS)})
     frame = pd.DataFrame(rows)
     tables = [

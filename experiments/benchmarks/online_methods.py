@@ -134,7 +134,7 @@ CONTENDERS: dict[str, Contender] = {
         share=0.5,
     ),
     "lm": Contender(
-        windowed, {"rows": 50, "huber": 1.5, "iterations": 20}, {**LENGTHS, "iterations": (20,)},
+        windowed, {"rows": 100, "huber": 1.5, "iterations": 20}, {**LENGTHS, "iterations": (20,)},
         share=0.2, abreast=5,
     ),
     "batch_ls": Contender(
@@ -143,12 +143,12 @@ CONTENDERS: dict[str, Contender] = {
         share=0.5, abreast=5,
     ),
     "particles": Contender(
-        Particles, {"drift": 0.1, "drift_of_others": 0.1},
-        {"drift": (0.03, 0.1, 0.3, 0.6), "drift_of_others": (0.01, 0.03, 0.1)},
+        Particles, {"drift": 0.03, "drift_of_others": 0.1},
+        {"drift": (0.01, 0.03, 0.1, 0.3), "drift_of_others": (0.01, 0.03, 0.1)},
         share=0.1, abreast=1,
     ),
     "bank": Contender(
-        Bank, {"rows": 20}, {"rows": (3, 5, 7, 10, 15, 20, 25, 30, 40, 50, 75, 100)},
+        Bank, {"rows": 150}, {"rows": (5, 10, 15, 20, 30, 40, 50, 75, 100, 150, 200, 300)},
         (LEVEL,), share=0.1, abreast=1,
     ),
 }  # fmt: skip
