@@ -170,7 +170,7 @@ class ChangePointAlarm(Detector):
 
     hazard: float = 1e-3
     recent: int = 25
-    longest: int = 200
+    longest: int = 60
     outliers: float = 0.0
 
     def watch(self, setup: Setup) -> Watch:

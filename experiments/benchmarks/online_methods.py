@@ -104,7 +104,7 @@ CONTENDERS: dict[str, Contender] = {
         models,
         {"quiet": 0.001, "quick": 0.3, "drift_of_others": 0.01, "guards": True},
         {**MODES, "guards": (True,)},
-        (LEVEL, MODE, POINTS, ROBUST_POINTS),
+        (LEVEL, MODE, ROBUST_POINTS),
     ),
     "imm": Contender(
         models,
@@ -116,7 +116,7 @@ CONTENDERS: dict[str, Contender] = {
         robust_reset,
         {"drift": 0.01, "drift_of_others": 0.1},
         {"drift": (0.001, 0.003, 0.01, 0.03), "drift_of_others": (0.01, 0.03, 0.1)},
-        (LEVEL, POINTS, ROBUST_POINTS),
+        (LEVEL, ROBUST_POINTS),
     ),
     "ekf_reset": Contender(
         reset, {"drift": 0.01, "drift_of_others": 0.01},
