@@ -15,6 +15,7 @@ a share of the seeds and hours. The oracle knows all but D, and the end of its f
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -65,7 +66,8 @@ def measure(quick: bool, tune: bool, seeds: int, hours: float, methods: str) -> 
             raise ValueError(f"no method {name!r}; expected some of {', '.join(CONTENDERS)}")
     if quick:
         seeds, hours = min(seeds, 3), min(hours, 0.5)
-    rows, facts = [], {}
+    rows: list[Mapping[str, Any]] = []
+    facts: dict[str, Any] = {}
     for name in names:
         contender = CONTENDERS[name]
         if tune and contender.grid:
