@@ -8,7 +8,9 @@ if TYPE_CHECKING:
     from miho.vehicle.driving.double_track import DoubleTrack
     from miho.vehicle.driving.driver import Driver
     from miho.vehicle.driving.embedded import embedded_plant
+    from miho.vehicle.driving.friction_schedule import FrictionSchedule
     from miho.vehicle.driving.known_car import KnownCar
+    from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
     from miho.vehicle.driving.load_transfer import LoadTransfer, WheelLoads
     from miho.vehicle.driving.multi_body import MultiBody
     from miho.vehicle.driving.ovals import ims, lvms
@@ -21,8 +23,9 @@ if TYPE_CHECKING:
     from miho.vehicle.driving.velocity_planner import VelocityPlanner
 
 __all__ = [
-    "PLANE", "Command", "DoubleTrack", "Drive", "Driver", "KnownCar", "LoadTransfer", "Motion",
-    "MultiBody", "Plant", "Road", "Sensors", "Track", "Vehicle", "VelocityPlanner", "WheelLoads",
+    "PLANE", "Command", "DoubleTrack", "Drive", "Driver", "FrictionSchedule", "FrictionSource",
+    "KnownCar", "LearningDriver", "LoadTransfer", "Motion", "MultiBody", "Plant", "Road", "Sensors",
+    "Track", "Vehicle", "VelocityPlanner", "WheelLoads",
     "embedded_plant", "ims", "lvms", "road_of", "simulate",
 ]  # fmt: skip
 

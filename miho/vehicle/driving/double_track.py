@@ -25,6 +25,7 @@ from miho.vehicle.driving.dynamics import (
     derivative,
     loads_of,
 )
+from miho.vehicle.driving.friction_schedule import FrictionSchedule
 from miho.vehicle.driving.plant import Command, Motion, Plant, steps_of
 from miho.vehicle.driving.plant_parameters import Car, Tires, car_of
 from miho.vehicle.driving.powertrain import engine_speed
@@ -76,6 +77,9 @@ class DoubleTrack(Plant[DoubleTrackState]):
     step : float, optional
         Step of the fourth-order Runge-Kutta integration [s], at most 1e-3. Actuator delays are
         rounded to whole steps.
+    friction : FrictionSchedule, optional
+        Friction over time, in place of the constant friction of the road. It changes between
+        calls of `advance`.
 
     Raises
     ------
@@ -89,6 +93,7 @@ class DoubleTrack(Plant[DoubleTrackState]):
     brake: Brake
     road: Road = field(default=PLANE, repr=False)
     step: float = 1e-3
+    friction: FrictionSchedule | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.step <= LARGEST_STEP:
@@ -136,8 +141,11 @@ class DoubleTrack(Plant[DoubleTrackState]):
             state.time + duration, state.y.copy(), state.gearbox.copy(),
             state.steering.copy(), state.brake.copy(), state.outputs.copy(),
         )  # fmt: skip
+        road = self.road
+        if self.friction is not None:
+            road = road._replace(friction=self.friction.at(state.time))
         _advance(
-            self.car, self.road, self.step, count, moved.y, moved.gearbox, moved.steering,
+            self.car, road, self.step, count, moved.y, moved.gearbox, moved.steering,
             moved.brake, moved.outputs, float(command.steering), float(command.throttle),
             float(command.brake), int(command.gear),
         )  # fmt: skip

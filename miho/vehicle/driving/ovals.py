@@ -43,7 +43,7 @@ def ims(step: float = 1.0) -> Track:
     return track_of("ims", [*quarter, *back, *quarter, *back], step=step, left=0.7)
 
 
-def lvms(step: float = 1.0) -> Track:
+def lvms(step: float = 1.0, flat: bool = False) -> Track:
     """Return the Las Vegas Motor Speedway (2471 m), from the middle of the back straight.
 
     The turns have a radius of 234 m and a bank of 20 degrees, the back straight a bank of 6
@@ -55,6 +55,8 @@ def lvms(step: float = 1.0) -> Track:
     ----------
     step : float, optional
         Distance of the points [m].
+    flat : bool, optional
+        Whether the road has no bank, so that the tires limit the speed.
 
     Returns
     -------
@@ -63,12 +65,14 @@ def lvms(step: float = 1.0) -> Track:
     """
     turn, front = 1 / 234.0, 1 / 488.4
     steep, back, middle = 20 * _DEGREE, 6 * _DEGREE, 9 * _DEGREE
+    if flat:
+        steep = back = middle = 0.0
     half = [
         Segment(length=163.75, bank=(back, back)),
         Segment(length=151.5, curvature=(0.0, turn), bank=(back, steep)),
         Segment(length=527.4, curvature=(turn, turn), bank=(steep, steep)),
-        Segment(length=26.8, curvature=(turn, 0.0), bank=(steep, 14.5 * _DEGREE)),
-        Segment(length=60.0, bank=(14.5 * _DEGREE, middle)),
+        Segment(length=26.8, curvature=(turn, 0.0), bank=(steep, 0.725 * steep)),
+        Segment(length=60.0, bank=(0.725 * steep, middle)),
         Segment(length=117.0, curvature=(0.0, front), bank=(middle, middle)),
         Segment(length=189.0, curvature=(front, front), bank=(middle, middle)),
     ]

@@ -13,6 +13,7 @@ from miho.quantities import Array
 from miho.validate import positive
 from miho.vehicle.data.driving_log import DrivingLog
 from miho.vehicle.driving.driver import Driver, DriverState, place
+from miho.vehicle.driving.learning_driver import LearningDriver
 from miho.vehicle.driving.plant import Command, Motion, Plant
 from miho.vehicle.driving.sensors import Sensors
 
@@ -69,7 +70,7 @@ class Drive:
 
 def simulate(
     plant: Plant[State],
-    driver: Driver,
+    driver: Driver | LearningDriver,
     start: State,
     distance: float,
     *,
@@ -86,7 +87,7 @@ def simulate(
     ----------
     plant : Plant
         The simulated car.
-    driver : Driver
+    driver : Driver or LearningDriver
         The driver.
     start : State
         Initial state of the plant.

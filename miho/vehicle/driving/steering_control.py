@@ -12,7 +12,7 @@ from miho.quantities import Array
 from miho.vehicle.driving.error_estimator import ErrorEstimator
 from miho.vehicle.driving.friction import demand
 from miho.vehicle.driving.path_tracking import SLOWEST, GainSchedule
-from miho.vehicle.driving.track import Projection, Track
+from miho.vehicle.driving.track import Projection, Track, TrackPoint
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.axle import Axle
 from miho.vehicle.models.load_scaling import PROPORTIONAL, LoadSensitivity, growth
@@ -62,11 +62,19 @@ class AxleSlip:
         centre = float(axle.left[-2] + axle.right[-2]) / 2  # Sx
         return cls(load, force[part][::-1], slip[part][::-1], centre, sensitivity)
 
-    def at(self, force: float, load: float) -> float:
-        """Return the slip angle [rad] for a lateral force [N] at a load of the axle [N]."""
+    def at(self, force: float, load: float, friction: float = 1.0) -> float:
+        """Return the slip angle [rad] for a lateral force [N] at a load of the axle [N].
+
+        friction [-] multiplies the peaks of the curve, and leaves its stiffness.
+        """
         peak, stiffness = growth(max(load, 1.0) / self.load, self.sensitivity)
+        peak = friction * peak
         slip = float(np.interp(force / peak, self.force, self.slip))
         return self.centre + (slip - self.centre) * float(peak / stiffness)
+
+    def peaks(self, load: float, friction: float = 1.0) -> tuple[float, float]:
+        """Return the slip angles [rad] of the largest forces to the left and to the right."""
+        return self.at(math.inf, load, friction), self.at(-math.inf, load, friction)
 
 
 class FeedForward(NamedTuple):
@@ -109,7 +117,8 @@ class SteeringController:
     turn at its position after delay and lag. The slip follows from the curves of the axles; on a
     bank, weight contributes to the lateral force. The errors and the steering in z are estimates of
     `estimator`, or measurements without it. The command is limited to the rate of the rack. Below
-    3 m/s the path is followed by geometry only, without slip.
+    3 m/s the path is followed by geometry only, without slip. `friction` is the friction of the
+    road, relative to the curves [-].
     """
 
     vehicle: Vehicle
@@ -117,6 +126,7 @@ class SteeringController:
     front: AxleSlip
     rear: AxleSlip
     estimator: ErrorEstimator | None = None
+    friction: float = 1.0
 
     @property
     def period(self) -> float:
@@ -134,8 +144,8 @@ class SteeringController:
         lateral, gravity = (float(part) for part in demand(vx, curvature, bank))
         force = car.mass * lateral / car.wheelbase
         weight, air = car.mass * gravity / car.wheelbase, vx * vx
-        slip_f = self.front.at(force * car.lr, weight * car.lr + car.C_l_front * air)
-        slip_r = self.rear.at(force * car.lf, weight * car.lf + car.C_l_rear * air)
+        slip_f = self.front.at(force * car.lr, weight * car.lr + car.C_l_front * air, self.friction)
+        slip_r = self.rear.at(force * car.lf, weight * car.lf + car.C_l_rear * air, self.friction)
         bend = curvature * math.cos(bank)  # of the path along the surface
         return FeedForward(bend * car.wheelbase + slip_r - slip_f, slip_r + bend * car.lr)
 
@@ -167,12 +177,26 @@ class SteeringController:
         if self.estimator is not None and state.expected is not None:
             x = self.estimator.correct(state.expected - steady, x, vx)
         feedback = -float(self.schedule.at(vx) @ np.array([*x, *state.past]))
-        u = self._reachable(state, later.steering + feedback)
+        u = self._reachable(state, self._below_peak(later.steering + feedback, error, at, point, vx))
         expected = None
         if self.estimator is not None:
             arriving = (u, *state.sent)[: len(state.past) + 1][-1]
             expected = steady + self.estimator.predict(x, arriving - now.steering, vx)
         return u, _remember(state, u - later.steering, u, expected)
+
+    def _below_peak(
+        self, u: float, error: TrackingError, at: Projection, point: TrackPoint, vx: float
+    ) -> float:
+        """Return u [rad] limited to the slip angles of the front axle between its peaks."""
+        car = self.vehicle
+        along = vx * math.cos(error.e_psi) / (1 - float(point.curvature) * at.e)
+        vy = error.e_y_rate - vx * math.sin(error.e_psi)
+        turning = float(point.curvature) * math.cos(float(point.bank)) * along
+        drift = (vy + car.lf * (error.e_psi_rate + turning)) / vx
+        _, gravity = demand(vx, float(point.curvature), float(point.bank))
+        load = car.mass * float(gravity) * car.lr / car.wheelbase + car.C_l_front * vx * vx
+        left, right = self.front.peaks(load, self.friction)
+        return min(max(u, drift - right), drift - left)
 
     def _reachable(self, state: SteeringState, u: float) -> float:
         """Return u [rad] limited to angles that the rack reaches within a period."""

@@ -137,6 +137,13 @@ class VelocityPlanner:
         return friction_car(self.vehicle, self.grip, self.mu, share, self.engine is not None)
 
     @property
+    def slowest_rate(self) -> float:
+        """Acceleration by the brakes alone [m/s^2], below 0."""
+        if self.brake is None:
+            return -math.inf
+        return -self.brake_share * self.brake.largest_force / self.vehicle.mass
+
+    @property
     def _planned(self) -> FrictionCar:
         """Friction limits of the planned speeds, without the reserve."""
         return self.friction._replace(mu=self.mu * (1 - self.reserve))

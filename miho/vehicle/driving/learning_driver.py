@@ -1,0 +1,93 @@
+"""A driver whose plan and steering follow the friction of the road."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+
+from miho.vehicle.driving.driver import Driver, DriverState
+from miho.vehicle.driving.plant import Command, Motion
+from miho.vehicle.driving.slow_down import slowed_from
+from miho.vehicle.driving.velocity_planner import VelocityPlan, VelocityPlanner
+
+STEP = 0.01
+"""Step of the friction for which plans are made [-]."""
+LEAST = 0.2
+"""Least friction for which plans are made [-]."""
+
+
+class FrictionSource(ABC):
+    """A source of the present friction of the road, relative to the known car."""
+
+    @abstractmethod
+    def friction(self, motion: Motion, curvature: float, bank: float) -> float:
+        """Return the friction [-] at a measured motion on a curvature [1/m] and a bank [rad].
+
+        The driver calls this once for each command.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class LearningDriver:
+    """Driver with a plan for the friction that a source reports.
+
+    A plan belongs to a whole step of the friction. It changes if the reported friction differs by
+    more than one step from the friction of the present plan. If the car is too fast for a new
+    plan, the plan begins at the present speed.
+
+    Parameters
+    ----------
+    driver : Driver
+        Driver for a friction of 1.
+    planner : VelocityPlanner
+        Planner for a friction of 1.
+    source : FrictionSource
+        Source of the friction.
+    """
+
+    driver: Driver
+    planner: VelocityPlanner
+    source: FrictionSource
+    known: dict[float, Driver] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def plan(self) -> VelocityPlan:
+        """Plan for a friction of 1."""
+        return self.driver.plan
+
+    @property
+    def period(self) -> float:
+        """Time from one command to the next [s]."""
+        return self.driver.period
+
+    def begin(self, motion: Motion) -> DriverState:
+        """Return the initial state of the driver at a motion."""
+        return self.driver.begin(motion)
+
+    def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
+        """Return the next command for a measured motion, and the new state."""
+        point = state.plan.line.at(state.at)
+        now = self.source.friction(motion, float(point.curvature), float(point.bank))
+        planned = state.plan.friction.mu / self.planner.mu
+        changed = math.isfinite(now) and abs(now - planned) > STEP
+        if changed:
+            planned = max(STEP * round(now / STEP), LEAST)
+        knowing = self._knowing(planned)
+        if changed or state.plan is not knowing.plan:
+            friction = knowing.plan.friction._replace(mu=planned)
+            brake = -self.planner.slowest_rate
+            plan = slowed_from(knowing.plan, friction, state.at, motion.vx, brake)
+            if changed or plan is knowing.plan:
+                state = state._replace(plan=plan)
+        return knowing.step(state, motion)
+
+    def _knowing(self, friction: float) -> Driver:
+        """Return the driver who knows a friction."""
+        key = round(friction / STEP)
+        if key not in self.known:
+            planner = replace(self.planner, mu=self.planner.mu * friction)
+            steering = replace(self.driver.steering, friction=friction)
+            plan = self.plan if friction == 1.0 else planner.plan(self.plan.line)
+            self.known[key] = replace(self.driver, plan=plan, steering=steering)
+        return self.known[key]

@@ -1,0 +1,133 @@
+"""The friction of the road from the slip and the force of the front axle, by an online method.
+
+The model of the axle is the Magic Formula of the lateral force per load, in which a change of the
+friction scales the peak and leaves the cornering stiffness.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from miho.vehicle.driving.friction import demand
+from miho.vehicle.driving.learning_driver import FrictionSource
+from miho.vehicle.driving.plant import Motion
+from miho.vehicle.driving.simulation import Drive
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.online import Running, TrackerState
+from miho.quantities import Array, g
+
+MEAN = 4
+"""Commands whose mean is a row, which is then at 25 Hz; noise of the slip angle averages out."""
+PERIOD = 0.01 * MEAN
+"""Time between two rows at 100 commands a second [s]."""
+SMOOTHED = 5
+"""Commands over which the yaw acceleration is a difference of the yaw rate."""
+BRAKING = 2e5
+"""Brake pressure [Pa] from which a row has no force, because the tires also brake."""
+SLOWEST = 15.0
+"""Speed [m/s] below which a row has no force."""
+COLUMNS = {"slip": "rad", "load": "-", "use": "-"}
+"""Columns of a row, with their units: slip angle, load relative to rest, and force per load."""
+
+
+def axle_use(
+    slip: "rad", load: "-", *,
+    front_grip: "-", stiffness: "1/rad", shape: "-", shift: "rad", sensitivity: "-" = 0.0,
+) -> "-":  # type: ignore[no-untyped-def]  # noqa: F722
+    """Lateral force of an axle per load, positive to the left (ISO-W: at negative slip angles)."""
+    peak = front_grip * (1 + sensitivity * (load - 1))
+    return -peak * np.sin(shape * np.arctan(stiffness * (slip - shift) / (shape * peak)))
+
+
+class FrontAxle:
+    """Rows of the front axle from measured motions.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    period : float, optional
+        Time between two motions [s].
+    """
+
+    def __init__(self, vehicle: Vehicle, period: float = 0.01) -> None:
+        self.vehicle, self.period = vehicle, period
+        self._yaw_rates: deque[float] = deque(maxlen=SMOOTHED + 1)
+        self._waiting: list[list[float]] = []
+
+    def row(self, motion: Motion, curvature: float, bank: float) -> dict[str, float] | None:
+        """Return the columns of `COLUMNS` and the time [s] of each `MEAN` motions, else None.
+
+        The force is NaN while it is not known.
+
+        Parameters
+        ----------
+        motion : Motion
+            Measured motion.
+        curvature, bank : float
+            Of the line at the car [1/m], [rad].
+        """
+        car, vx = self.vehicle, max(motion.vx, 1.0)
+        self._yaw_rates.append(motion.yaw_rate)
+        turning = self._yaw_rates[-1] - self._yaw_rates[0]
+        turning /= max(len(self._yaw_rates) - 1, 1) * self.period
+        force = (car.mass * motion.ay * car.lr + car.Izz * turning) / car.wheelbase
+        _, gravity = demand(vx, curvature, bank)
+        rest = car.mass * car.lr / car.wheelbase  # of the mass
+        pitch = car.mass * motion.ax * car.h_cg / car.wheelbase
+        load = rest * float(gravity) + car.C_l_front * vx * vx - pitch
+        slip = (motion.vy + car.lf * motion.yaw_rate) / vx - motion.steering
+        known = motion.vx > SLOWEST and motion.brake_pressure < BRAKING
+        use = force / load if known else math.nan
+        self._waiting.append([motion.time, slip, load / (rest * g), use])
+        if len(self._waiting) < MEAN:
+            return None
+        means = np.mean(self._waiting, axis=0)
+        self._waiting.clear()
+        return dict(zip(("time", *COLUMNS), means.tolist(), strict=True))
+
+
+class TrackedFriction(FrictionSource):
+    """Friction of the road relative to the known car, from a method that tracks the front grip.
+
+    Parameters
+    ----------
+    axle : FrontAxle
+        Rows of the axle.
+    running : Running
+        Run of the method, with the model `axle_use`.
+    before : float
+        Front grip of the known car [-].
+    """
+
+    def __init__(self, axle: FrontAxle, running: Running, before: float) -> None:
+        self.axle, self.running, self.before = axle, running, before
+        self.states: list[TrackerState] = []
+
+    def friction(self, motion: Motion, curvature: float, bank: float) -> float:
+        """See `FrictionSource.friction`."""
+        row = self.axle.row(motion, curvature, bank)
+        if row is not None:
+            self.states.append(self.running.update(row))
+        if not self.states:
+            return 1.0
+        return self.states[-1].values["front_grip"] / self.before
+
+
+def front_rows(vehicle: Vehicle, drive: Drive) -> dict[str, Array]:
+    """Return the columns of all rows of the front axle, from the measurements of a drive."""
+    axle = FrontAxle(vehicle)
+    names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering")
+    columns = {name: drive.measured[name] for name in names}
+    columns |= {"brake_pressure": drive.measured["brake"]}
+    blank = Motion(*np.zeros(len(Motion._fields)))
+    rows = []
+    for k in range(len(drive)):
+        motion = blank._replace(**{name: float(column[k]) for name, column in columns.items()})
+        row = axle.row(motion, float(drive["curvature"][k]), float(drive["bank"][k]))
+        if row is not None:
+            rows.append(row)
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
