@@ -11,6 +11,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from miho.fitting.one_fit import fit
+from miho.identification.report import Report
+from miho.online import OnlineMethod, TrackerSettings
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.friction_schedule import FrictionSchedule
@@ -22,11 +25,14 @@ from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.simulation import Drive, simulate
 from miho.vehicle.driving.track import Track
-from miho.vehicle.driving.tracked_friction import PERIOD, FrontAxle, TrackedFriction, axle_use, front_rows
+from miho.vehicle.driving.tracked_friction import (
+    PERIOD,
+    FrontAxle,
+    TrackedFriction,
+    axle_use,
+    front_rows,
+)
 from miho.vehicle.driving.velocity_planner import VelocityPlanner
-from miho.fitting.one_fit import fit
-from miho.identification.report import Report
-from miho.online import OnlineMethod, TrackerSettings
 
 SHARE, LEARNED_AT = 0.7, 0.8
 """Share of the grip in the plan, and in the earlier lap from which the offline report is."""
@@ -101,9 +107,7 @@ class FallingGrip:
 
     def tracked(self, report: Report, method: OnlineMethod = TRACKER) -> TrackedFriction:
         """Return a source of friction by a method that tracks the front grip."""
-        running = method.start(
-            report.problem, report, {"front_grip": 0.35}, NOISE, PERIOD
-        )
+        running = method.start(report.problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
         place = report.problem.space.names.index("front_grip")
         return TrackedFriction(FrontAxle(self.car.vehicle), running, float(report.at.theta[place]))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from miho.quantities import Array
 from miho.vehicle.driving.compiling import compiled, part
 from miho.vehicle.driving.friction import (
     BISECTIONS,
@@ -17,7 +18,6 @@ from miho.vehicle.driving.friction import (
     point_demand,
 )
 from miho.vehicle.driving.velocity_planner import VelocityPlan
-from miho.quantities import Array
 
 TURNING = 0.985
 """Largest use of friction for turning while the car slows down, so that it can brake at all."""

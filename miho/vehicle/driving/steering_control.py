@@ -177,7 +177,9 @@ class SteeringController:
         if self.estimator is not None and state.expected is not None:
             x = self.estimator.correct(state.expected - steady, x, vx)
         feedback = -float(self.schedule.at(vx) @ np.array([*x, *state.past]))
-        u = self._reachable(state, self._below_peak(later.steering + feedback, error, at, point, vx))
+        u = self._reachable(
+            state, self._below_peak(later.steering + feedback, error, at, point, vx)
+        )
         expected = None
         if self.estimator is not None:
             arriving = (u, *state.sent)[: len(state.past) + 1][-1]

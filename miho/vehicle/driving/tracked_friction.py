@@ -11,13 +11,13 @@ from collections import deque
 
 import numpy as np
 
+from miho.online import Running, TrackerState
+from miho.quantities import Array, g
 from miho.vehicle.driving.friction import demand
 from miho.vehicle.driving.learning_driver import FrictionSource
 from miho.vehicle.driving.plant import Motion
 from miho.vehicle.driving.simulation import Drive
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.online import Running, TrackerState
-from miho.quantities import Array, g
 
 MEAN = 4
 """Commands whose mean is a row, which is then at 25 Hz; noise of the slip angle averages out."""
@@ -33,11 +33,14 @@ COLUMNS = {"slip": "rad", "load": "-", "use": "-"}
 """Columns of a row, with their units: slip angle, load relative to rest, and force per load."""
 
 
-def axle_use(
-    slip: "rad", load: "-", *,
-    front_grip: "-", stiffness: "1/rad", shape: "-", shift: "rad", sensitivity: "-" = 0.0,
-) -> "-":  # type: ignore[no-untyped-def]  # noqa: F722
-    """Lateral force of an axle per load, positive to the left (ISO-W: at negative slip angles)."""
+def axle_use(  # type: ignore[no-untyped-def]
+    slip, load, *, front_grip, stiffness, shape, shift, sensitivity=0.0
+):
+    """Lateral force of an axle per load, positive to the left (ISO-W: at negative slip angles).
+
+    slip [rad] and load, relative to rest [-], are inputs; stiffness [1/rad] and shift [rad] are of
+    the slip angle, and the other parameters have no unit.
+    """
     peak = front_grip * (1 + sensitivity * (load - 1))
     return -peak * np.sin(shape * np.arctan(stiffness * (slip - shift) / (shape * peak)))
 
