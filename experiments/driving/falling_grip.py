@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from omegaconf import DictConfig
 
+from experiments.driving.car import known_car
+from experiments.driving.settings import track_and_vehicle
 from miho.fitting.one_fit import fit
 from miho.identification.report import Report
 from miho.online import OnlineMethod, TrackerSettings
@@ -34,8 +37,8 @@ from miho.vehicle.driving.tracked_friction import (
 )
 from miho.vehicle.driving.velocity_planner import VelocityPlanner
 
-SHARE, LEARNED_AT = 0.7, 0.8
-"""Share of the grip in the plan, and in the earlier lap from which the offline report is."""
+LEARNED_AT = 0.8
+"""Share of the grip that the earlier lap uses, from which the offline report is."""
 MIDDLE = (0.4, 0.6)
 """Part of the planned time of the lap in which the grip falls."""
 NOISE = MappingProxyType({"slip": 0.00075})
@@ -72,8 +75,16 @@ class FallingGrip:
 
     car: KnownCar
     line: Track
+    share: float = 0.7
     top_speed: float = 80.0
     fall: float = 0.3
+
+    @classmethod
+    def of(cls, cfg: DictConfig) -> FallingGrip:
+        """Return the laps that `drive` describes."""
+        _, line, vehicle = track_and_vehicle(cfg)
+        car, _ = known_car(cfg, vehicle)
+        return cls(car, line, cfg.drive.performance_factor, cfg.drive.top_speed)
 
     def schedule(self, seed: int) -> FrictionSchedule:
         """Friction of a seed, which draws the time of the fall."""
@@ -81,10 +92,10 @@ class FallingGrip:
         at = np.random.default_rng([seed, 2]).uniform(*MIDDLE) * time
         return FrictionSchedule.drop(float(at), self.fall)
 
-    def driver(self, share: float = SHARE) -> Driver:
+    def driver(self, share: float | None = None) -> Driver:
         """Driver for a friction of 1."""
         steering = self.car.steering_controller(Weights(steering=100.0))
-        plan = self._planner(share).plan(self.line)
+        plan = self._planner(self.share if share is None else share).plan(self.line)
         return Driver(plan, self.car.speed_controller(), steering)
 
     def earlier(self, seed: int) -> Report:
@@ -102,7 +113,7 @@ class FallingGrip:
     def lap(self, seed: int, source: FrictionSource) -> Drive:
         """Return the lap of a driver that takes the friction from a source."""
         driver = self.driver()
-        learning = LearningDriver(driver, self._planner(SHARE), source)
+        learning = LearningDriver(driver, self._planner(self.share), source)
         return self._drive(learning, self.schedule(seed), seed)
 
     def tracked(self, report: Report, method: OnlineMethod = TRACKER) -> TrackedFriction:

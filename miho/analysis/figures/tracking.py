@@ -1,0 +1,120 @@
+"""Figures of parameters that are tracked while rows arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from miho.analysis.figures.driving import ALARM, AMBER, BLUE, DASHED, GREEN, KMH
+from miho.analysis.figures.house import WIDTH, caption, house_style
+
+COLORS = {"the offline value": ALARM, "the tracker": BLUE, "the oracle": GREEN}
+"""Colours of drivers by their source of the friction."""
+
+
+def plot_parameter(
+    states: pd.DataFrame, name: str, ax: Axes, *, alarms: Sequence[float] = (), scale: float = 1.0
+) -> Axes:
+    """A tracked parameter with its 95 % interval over time [s], and its truth if it is known.
+
+    Parameters
+    ----------
+    states : DataFrame
+        Columns time, NAME, NAME_low and NAME_high, and NAME_true if the truth is known.
+    name : str
+        Name of the parameter.
+    ax : Axes
+        Panel.
+    alarms : sequence of float, optional
+        Times [s] of alarms, marked by vertical lines.
+    scale : float, optional
+        Value of the parameter that is drawn as 1.
+
+    Returns
+    -------
+    Axes
+        The panel.
+    """
+    time = states["time"]
+    ax.fill_between(
+        time, states[f"{name}_low"] / scale, states[f"{name}_high"] / scale,
+        color=BLUE, alpha=0.25, linewidth=0, label="95 % interval",
+    )  # fmt: skip
+    ax.plot(time, states[name] / scale, color=BLUE, linewidth=1.1, label="estimate")
+    if f"{name}_true" in states:
+        truth = states[f"{name}_true"] / scale
+        ax.plot(time, truth, color="black", linewidth=0.9, linestyle=DASHED, label="truth")
+    for k, at in enumerate(alarms):
+        label = "alarm" if k == 0 else None
+        ax.axvline(at, color=ALARM, linewidth=1.2, label=label)
+    ax.margins(x=0)
+    ax.set_ylabel(name.replace("_", " "))
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
+    return ax
+
+
+def states_figure(
+    states: pd.DataFrame, names: Sequence[str], alarms: Mapping[float, str]
+) -> Figure:
+    """A panel for each parameter over time; `alarms` are times [s] with their words."""
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * len(names)), layout="constrained")
+        panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        for name, ax in zip(names, panels, strict=True):
+            plot_parameter(states, name, ax, alarms=list(alarms))
+        panels[-1].set_xlabel("time [s]")
+        caption(figure, "; ".join(alarms.values()))
+        figure.draw_without_rendering()
+    return figure
+
+
+def grip_figure(
+    states: pd.DataFrame, laps: Mapping[str, pd.DataFrame], alarms: Mapping[float, str],
+    fall: float, *, note: str = "",
+) -> Figure:  # fmt: skip
+    """A lap in which the grip falls: tracked grip, speeds, and use of the true friction.
+
+    Parameters
+    ----------
+    states : DataFrame
+        Columns of `plot_parameter` for front_grip, relative to the known car.
+    laps : mapping of str to DataFrame
+        For each source of the friction a log with the columns time [s], vx [m/s] and use [-].
+    alarms : mapping of float to str
+        Times [s] of alarms, and their words.
+    fall : float
+        Time at which the grip begins to fall [s].
+    note : str, optional
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        Three panels.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
+        grip, velocity, use = figure.subplots(3, 1, sharex=True)
+        plot_parameter(states, "front_grip", grip, alarms=list(alarms))
+        grip.set_ylabel("front grip,\nrelative [-]")
+        for name, lap in laps.items():
+            style = {"color": COLORS.get(name, AMBER), "linewidth": 1.1, "label": name}
+            velocity.plot(lap["time"], lap["vx"], **style)
+            use.plot(lap["time"], lap["use"], **style)
+        velocity.set_ylabel("velocity\n[m/s]")
+        right = velocity.secondary_yaxis("right", functions=(lambda v: KMH * v, lambda v: v / KMH))
+        right.set_ylabel("[km/h]")
+        use.axhline(1.0, color="black", linewidth=0.8, linestyle=DASHED, label="limit")
+        use.set(ylabel="use of the true\nfriction [-]", ylim=(0, 1.6), xlabel="time [s]")
+        for ax in (velocity, use):
+            ax.margins(x=0)
+            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
+        for ax in (grip, velocity, use):
+            ax.axvline(fall, color="#888888", linewidth=0.9, linestyle=":")
+        words = "; ".join(alarms.values())
+        caption(figure, f"dotted: the grip falls; red line: alarm, {words}", note)
+        figure.draw_without_rendering()
+    return figure
