@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from miho.data import Dataset
 from miho.identification import CurveFit
-from miho.models import Pacejka
 from miho.optim import Parameter, Space
 from miho.quantities import Array
 from miho.validate import one_of
+from miho.vehicle.models import Pacejka
 
 STEP = 0.02
 """Time between two rows, s."""

@@ -22,19 +22,23 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.resolvers import oc
 
+import baselines.online
 import baselines.problems
 import miho.data
 import miho.identification
 import miho.methods
 import miho.models
+import miho.online
 import miho.optim
 import miho.vehicle.data
 import miho.vehicle.models
+from baselines.online import Stream
 from experiments.app.explain import ConfigError
 from miho.data import Dataset
 from miho.identification import Loss
 from miho.models import Model
 from miho.moved import new_name
+from miho.online import OnlineMethod
 from miho.optim import AskTell, Optimizer
 from miho.study.redaction import holds_secret, names_secret, redacted
 
@@ -45,6 +49,8 @@ HOMES: Mapping[type, tuple[ModuleType, ...]] = {
     Dataset: (miho.data, miho.vehicle.data, baselines.problems),
     Loss: (miho.identification,),
     Optimizer: (miho.optim, miho.methods),
+    OnlineMethod: (miho.online, baselines.online),
+    Stream: (baselines.online,),
 }
 """Packages whose `__all__` lists the targets of each kind."""
 

@@ -211,6 +211,27 @@ class DriveConfig:
 
 
 @dataclass
+class OnlineConfig:
+    """How a stream of rows is tracked, in SI units; see conf/tracker and conf/stream.
+
+    learn: time [s] from the beginning of a replayed dataset whose rows are the offline data;
+    without it, the whole dataset is. changes: parameters that may jump, with the share of their
+    value; the alarm watches them, and `names` has their names in its words. input_noise: standard
+    deviations of the noise of input columns. period: time between rows without a column `time` [s].
+    resume: continue with the state that a session left in `root`. live: show the states in the
+    terminal, if stdout is one.
+    """
+
+    learn: float | None = None
+    changes: dict[str, float] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    input_noise: dict[str, float] = field(default_factory=dict)
+    period: float = 0.02
+    resume: bool = False
+    live: bool = True
+
+
+@dataclass
 class Config:
     """One run, or with `comparison` a set of runs.
 
@@ -242,6 +263,9 @@ class Config:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
+    tracker: dict[str, Any] = field(default_factory=dict)
+    stream: dict[str, Any] = field(default_factory=dict)
+    online: OnlineConfig = field(default_factory=OnlineConfig)
 
 
 RENAMED = {

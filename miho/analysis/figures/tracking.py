@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -116,5 +117,34 @@ def grip_figure(
             ax.axvline(fall, color="#888888", linewidth=0.9, linestyle=":")
         words = "; ".join(alarms.values())
         caption(figure, f"dotted: the grip falls; red line: alarm, {words}", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+SCORES = {
+    "error": ("mean error [%]", 100.0),
+    "within_10": ("until within 10 % [s]", 1.0),
+    "alarm": ("until the alarm [s]", 1.0),
+}
+"""For each score, its label and its factor."""
+
+
+def scores_figure(scores: pd.DataFrame) -> Figure:
+    """A panel per score of `SCORES`: seeds as light points, medians as dark ones, per tracker."""
+    trackers = scores.groupby("tracker")["error"].median().sort_values().index.tolist()
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 1.2 + 0.32 * len(trackers)), layout="constrained")
+        panels = figure.subplots(1, len(SCORES), sharey=True)
+        for ax, (column, (label, factor)) in zip(panels, SCORES.items(), strict=True):
+            for line, tracker in enumerate(trackers):
+                values = factor * scores.loc[scores["tracker"] == tracker, column].astype(float)
+                ax.scatter(values, np.full(len(values), line), s=9, color=BLUE, alpha=0.35)
+                ax.plot(values.median(), line, "o", color="black", markersize=4)
+            ax.set_xlabel(label)
+            ax.set_xlim(left=0)
+            ax.grid(axis="y", visible=False)
+        panels[0].set_yticks(range(len(trackers)), trackers)
+        panels[0].invert_yaxis()
+        caption(figure, "light points: seeds; dark: median; no point: never")
         figure.draw_without_rendering()
     return figure

@@ -1,0 +1,1 @@
+"""Streams of rows to a method that tracks parameters, and its states."""

@@ -1,0 +1,77 @@
+"""Scores of sessions on a stream with known truth, and their comparison."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from baselines.online import Stream
+from experiments.online.session import STATES
+from miho.analysis import save
+from miho.analysis.compare.bootstrap import mean_error
+from miho.analysis.figures.tracking import scores_figure
+from miho.analysis.text import csv_text
+from miho.online import Alarm
+from miho.study import write_text
+
+SCORE = "score.json"
+CLOSE = 0.1
+"""An estimate that differs by less than this share is close."""
+
+
+def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[Alarm]) -> None:
+    """Write the score of a session: errors, delays and coverage of the watched parameters.
+
+    error is the mean over the rows, in shares of the truth; within_10 [s] is the time after the
+    change from which the first parameter that jumps is within 10 %; alarm [s] is the delay of the
+    first alarm; false_alarms are alarms before the change.
+    """
+    states = pd.read_csv(root / STATES)
+    start = stream.start if stream.start is not None else np.inf
+    name = next(iter(stream.changes))
+    rows = min(len(states), len(stream))
+    truth, value = stream.truth[name][:rows], states[name].to_numpy()[:rows]
+    apart = np.abs(value / truth - 1)
+    low, high = (states[f"{name}_{end}"].to_numpy()[:rows] for end in ("low", "high"))
+    clock = stream.clock[:rows]
+    near = clock[(clock > start) & (apart < CLOSE)]
+    after = [alarm.time for alarm in alarms if alarm.time >= start]
+    found = {
+        "tracker": tracker,
+        "seed": seed,
+        "error": float(np.mean(apart)),
+        "within_10": float(near[0] - start) if near.size else None,
+        "alarm": after[0] - start if after else None,
+        "false_alarms": len(alarms) - len(after),
+        "coverage": float(np.mean((low <= truth) & (truth <= high))),
+    }
+    write_text(root / SCORE, json.dumps(found, indent=1) + "\n")
+
+
+def compare(root: Path) -> None:
+    """Write the table and the figure of all scores below a folder."""
+    scores = pd.DataFrame(
+        [json.loads(path.read_text(encoding="utf-8")) for path in sorted(root.glob(f"*/{SCORE}"))]
+    )
+    scores = scores.sort_values(["tracker", "seed"])
+    write_text(root / "scores.csv", csv_text(scores))
+    rng, lines = np.random.default_rng(0), []
+    for tracker, group in scores.groupby("tracker"):
+        error = mean_error(100 * group["error"].to_numpy(dtype=float), rng)
+        lines.append({
+            "tracker": tracker,
+            "seeds": len(group),
+            "error [%]": f"{error.estimate:.2f} [{error.low:.2f}, {error.high:.2f}]",
+            "within 10 % [s]": group["within_10"].median(),
+            "alarm [s]": group["alarm"].median(),
+            "missed": int(group["alarm"].isna().sum()),
+            "false alarms": int(group["false_alarms"].sum()),
+            "coverage": group["coverage"].mean(),
+        })  # fmt: skip
+    table = pd.DataFrame(lines).to_string(index=False, float_format="%.2f")
+    write_text(root / "table.txt", table + "\n")
+    save(scores_figure(scores), root / "figures" / "trackers")

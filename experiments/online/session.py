@@ -1,0 +1,124 @@
+"""A session: each row updates the method, and its state is answered, kept and shown."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+from experiments.online.live import LiveView
+from experiments.online.sources import Source, parsed
+from miho.online import Alarm, Running, TrackerState
+
+STATES = "states.csv"
+FLUSHED = 0.5
+"""Seconds after which written states are on the disk."""
+
+
+@dataclass
+class Session:
+    """A run of a method on a source, with its states in `root`/states.csv.
+
+    Parameters
+    ----------
+    running : Running
+        The method.
+    columns : tuple of str
+        Columns that a row must have.
+    root : Path
+        Folder of the states.
+    words : mapping of str to str
+        Names of parameters in alarms.
+    view : LiveView, optional
+        Terminal that shows the states.
+    quiet : bool, optional
+        Whether no state is answered.
+    """
+
+    running: Running
+    columns: tuple[str, ...]
+    root: Path
+    words: Mapping[str, str] = field(default_factory=dict)
+    view: LiveView | None = None
+    quiet: bool = False
+    last: TrackerState | None = field(default=None, init=False)
+    alarms: list[Alarm] = field(default_factory=list, init=False)
+    bad: int = field(default=0, init=False)
+
+    def run(self, source: Source) -> None:
+        """Take all rows of the source; a bad row is answered by its error and does not count."""
+        self.root.mkdir(parents=True, exist_ok=True)
+        path = self.root / STATES
+        with path.open("a", encoding="utf-8", newline="") as file:
+            written = time.monotonic()
+            for row in source.rows():
+                try:
+                    values = parsed(row, self.columns) if isinstance(row, str) else row
+                    state = self.running.update(values)
+                except ValueError as error:
+                    self.bad += 1
+                    if not self.quiet:
+                        source.answer(json.dumps({"error": str(error)}))
+                    continue
+                if state.alarm is not None:
+                    self.alarms.append(state.alarm)
+                self.last = state
+                if not self.quiet:
+                    source.answer(json.dumps(state_row(state, self.words)))
+                if self.view is not None:
+                    self.view.show(state, [in_words(alarm, self.words) for alarm in self.alarms])
+                self._write(file, state)
+                if time.monotonic() - written > FLUSHED:
+                    file.flush()
+                    written = time.monotonic()
+
+    def _write(self, file: TextIO, state: TrackerState) -> None:
+        """Append the state to the CSV file, which begins with the names of its columns."""
+        if file.tell() == 0:
+            names = (f"{name}{end}" for name in state.names for end in ("", "_low", "_high"))
+            file.write(",".join(("time", *names, "alarm")) + "\n")
+        ends = state.intervals()
+        numbers = [state.time]
+        for k, value in enumerate(state.theta.tolist()):
+            numbers += [value, float(ends[k, 0]), float(ends[k, 1])]
+        alarm = "" if state.alarm is None else f'"{in_words(state.alarm, self.words)}"'
+        file.write(",".join(f"{number:.8g}" for number in numbers) + f",{alarm}\n")
+
+
+def state_row(state: TrackerState, words: Mapping[str, str]) -> dict[str, Any]:
+    """Return a state as plain data for JSON; numbers that are not known are null."""
+    ends = state.intervals()
+    return {
+        "time": known(state.time),
+        "row": state.rows,
+        "values": {name: known(value) for name, value in state.values.items()},
+        "low": {n: known(float(e)) for n, e in zip(state.names, ends[:, 0], strict=True)},
+        "high": {n: known(float(e)) for n, e in zip(state.names, ends[:, 1], strict=True)},
+        "identifiable": dict(zip(state.names, state.identifiable.tolist(), strict=True)),
+        "alarm": None if state.alarm is None else in_words(state.alarm, words),
+        "seconds": state.seconds,
+    }
+
+
+def known(value: float) -> float | None:
+    """Return the number, None for NaN and infinity, which JSON does not have."""
+    return value if math.isfinite(value) else None
+
+
+def in_words(alarm: Alarm, words: Mapping[str, str]) -> str:
+    """Return the alarm with the names that the user gave to parameters, without underscores.
+
+    Examples
+    --------
+    >>> in_words(Alarm(12.4, "D", 1000.0, 690.0, 40.0), {"D": "front grip"})
+    'front grip fell by 31 ± 4 % at 12.4 s'
+    """
+    parts = []
+    for one in (alarm, *alarm.others):
+        name = words.get(one.parameter, one.parameter.replace("_", " "))
+        parts.append(name + one.size.removeprefix(one.parameter))
+    return " and ".join(parts) + f" at {alarm.time:.1f} s"
