@@ -125,9 +125,11 @@ def task_of(cfg: DictConfig) -> Task:
     }
     if kind not in sources:
         raise ConfigError(f"stream.source: is {kind!r}; expected {', '.join(sources)}")
-    fit = searched(problem, seed=cfg.seed)
+    report = searched(problem, seed=cfg.seed).report()
+    if problem.sigma is None:
+        problem = replace(problem, sigma=report.at.noise)
     print(f"offline data: {len(problem.dataset):,} rows of {problem.dataset.name}", file=sys.stderr)
-    return Task((problem,), fit.report(), stated, noise, sources[kind]())
+    return Task((problem,), report, stated, noise, sources[kind]())
 
 
 def _split(problem: CurveFit, learn: float, period: float) -> tuple[CurveFit, Dataset]:

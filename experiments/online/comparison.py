@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from baselines.online import Stream
 from experiments.online.session import STATES
@@ -16,9 +17,12 @@ from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.tracking import scores_figure
 from miho.analysis.text import csv_text
 from miho.online import Alarm
+from miho.quantities import Array
 from miho.study import write_text
 
 SCORE = "score.json"
+STAYING = 1.0
+"""Time for which it must stay so [s]."""
 CLOSE = 0.1
 """An estimate that differs by less than this share is close."""
 
@@ -27,8 +31,8 @@ def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[
     """Write the score of a session: errors, delays and coverage of the watched parameters.
 
     error is the mean over the rows, in shares of the truth; within_10 [s] is the time after the
-    change from which the first parameter that jumps is within 10 %; alarm [s] is the delay of the
-    first alarm; false_alarms are alarms before the change.
+    change from which the first parameter that jumps is within 10 % and stays for 1 s; alarm [s] is
+    the delay of the first alarm; false_alarms are alarms before the change.
     """
     states = pd.read_csv(root / STATES)
     start = stream.start if stream.start is not None else np.inf
@@ -38,7 +42,8 @@ def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[
     apart = np.abs(value / truth - 1)
     low, high = (states[f"{name}_{end}"].to_numpy()[:rows] for end in ("low", "high"))
     clock = stream.clock[:rows]
-    near = clock[(clock > start) & (apart < CLOSE)]
+    later = clock >= start
+    near = clock[later & ~_soon(apart >= CLOSE, clock)]
     after = [alarm.time for alarm in alarms if alarm.time >= start]
     found = {
         "tracker": tracker,
@@ -50,6 +55,13 @@ def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[
         "coverage": float(np.mean((low <= truth) & (truth <= high))),
     }
     write_text(root / SCORE, json.dumps(found, indent=1) + "\n")
+
+
+def _soon(event: NDArray[np.bool_], clock: Array) -> NDArray[np.bool_]:
+    """Whether an event (N,) occurs within `STAYING` after each row."""
+    count = np.concatenate([[0], np.cumsum(event)])
+    ends = np.searchsorted(clock, clock + STAYING, side="right")
+    return count[ends] > count[:-1]
 
 
 def compare(root: Path) -> None:

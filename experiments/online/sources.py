@@ -67,7 +67,10 @@ class Socket(Source):
         """Yield each line of each client, until the server is closed."""
         with self.server:
             while True:
-                connection, _ = self.server.accept()
+                try:
+                    connection, _ = self.server.accept()
+                except OSError:  # closed from another thread
+                    return
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 with connection, connection.makefile("rw", encoding="utf-8") as client:
                     self._client = client

@@ -1,0 +1,164 @@
+"""A stream of rows to a stream of states."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import miho
+from experiments.online.results import resumed, write_session
+from experiments.online.session import Session
+from experiments.online.sources import Lines, Replay, Socket, Source, parsed
+from miho.online import Tracker
+
+N = 60
+
+
+def line_problem() -> miho.CurveFit:
+    """y = a x, with a small error."""
+    x = np.linspace(1, 2, 30)
+    data = miho.Dataset("line", {"x": x, "y": 2 * x}, {"x": "", "y": ""}, "y")
+    return miho.CurveFit(slope, data, miho.Space((miho.Parameter("a", "", 0, 5),)), sigma=0.05)
+
+
+def slope(x, *, a):  # type: ignore[no-untyped-def]
+    """A line through the origin."""
+    return a * x
+
+
+def rows(count: int = N) -> list[dict[str, float]]:
+    """Rows of y = 2 x, and of y = 1.2 x from the middle."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(1, 2, count)
+    y = np.where(np.arange(count) < count / 2, 2.0, 1.2) * x + 0.05 * rng.standard_normal(count)
+    return [{"time": 0.02 * k, "x": x[k], "y": y[k]} for k in range(count)]
+
+
+def tracker() -> Tracker:
+    """A tracker of a."""
+    return miho.Tracker(line_problem(), prior={"a": (2.0, 0.05)})
+
+
+class Answered(Lines):
+    """Lines whose answers are kept."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(io.StringIO(text))
+        self.answers: list[dict[str, object]] = []
+
+    def answer(self, text: str) -> None:
+        """Keep the answer."""
+        self.answers.append(json.loads(text))
+
+
+def test_each_line_has_one_answer_and_a_bad_line_says_why(tmp_path: Path) -> None:
+    """The states go on after a bad line, and the alarm is in words."""
+    lines = [json.dumps(row) for row in rows()]
+    lines[3:3] = ["nonsense", '{"x": "one"}', "[1]"]
+    source = Answered("\n".join(lines) + "\n")
+    Session(tracker(), ("x", "y"), tmp_path, {"a": "the slope"}).run(source)
+    assert len(source.answers) == N + 3
+    assert [list(answer) for answer in source.answers[3:6]] == [["error"]] * 3
+    assert "expected a number or null" in str(source.answers[4]["error"])
+    said = [answer["alarm"] for answer in source.answers if answer.get("alarm")]
+    assert len(said) == 1
+    assert str(said[0]).startswith("the slope fell by")
+    assert math.isclose(source.answers[-1]["values"]["a"], 1.2, rel_tol=0.05)  # type: ignore[index]
+
+
+def test_a_session_can_be_resumed_to_the_last_bit(tmp_path: Path) -> None:
+    """Half of the rows, files, the other half: the same states as in one session."""
+    whole, half = tracker(), tracker()
+    for row in rows():
+        whole.update(row)
+    session = Session(half, ("x", "y"), tmp_path, quiet=True)
+    session.run(Answered("\n".join(json.dumps(row) for row in rows()[: N // 2])))
+    paths = write_session(tmp_path, half, session.alarms, [], "a line")
+    assert {path.name for path in paths} >= {"states.csv", "report.html", "parameters.json"}
+    again = resumed(tmp_path / "tracker.pickle")
+    Session(again, ("x", "y"), tmp_path, quiet=True).run(
+        Answered("\n".join(json.dumps(row) for row in rows()[N // 2 :]))
+    )
+    assert isinstance(again, Tracker)
+    assert again.state.theta.tolist() == whole.state.theta.tolist()
+    assert len((tmp_path / "states.csv").read_text().splitlines()) == N + 1
+
+
+def test_an_interrupt_keeps_the_states_so_far(tmp_path: Path) -> None:
+    """The file has every state before Ctrl-C."""
+
+    class Interrupted(Source):
+        def rows(self) -> Iterator[dict[str, float]]:
+            yield from rows(10)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Session(tracker(), ("x", "y"), tmp_path, quiet=True).run(Interrupted())
+    assert len((tmp_path / "states.csv").read_text().splitlines()) == 11
+
+
+def test_a_missing_column_is_unknown() -> None:
+    """Null and a missing column are NaN, and further columns are kept."""
+    row = parsed('{"x": 1, "y": null, "time": 2}', ("x", "y", "z"))
+    assert row["x"] == 1.0
+    assert row["time"] == 2.0
+    assert math.isnan(row["y"])
+    assert math.isnan(row["z"])
+
+
+def test_a_dataset_without_times_is_replayed_by_its_period() -> None:
+    """The time rises by the period."""
+    data = miho.Dataset("d", {"x": np.ones(3), "y": np.ones(3)}, {"x": "", "y": ""}, "y")
+    assert [row["time"] for row in Replay(data, 0.1).rows()] == pytest.approx([0.0, 0.1, 0.2])
+
+
+def test_a_client_of_the_socket_gets_a_state_for_each_row(tmp_path: Path) -> None:
+    """On the loopback, by a client of the standard library."""
+    source = Socket(port=0)
+    session = Session(tracker(), ("x", "y"), tmp_path)
+    server = threading.Thread(target=session.run, args=(source,), daemon=True)
+    server.start()
+    with (
+        socket.create_connection(("127.0.0.1", source.port), timeout=20) as connection,
+        connection.makefile("rw", encoding="utf-8") as client,
+    ):
+        for k, row in enumerate(rows(5)):
+            client.write(json.dumps(row) + "\n")
+            client.flush()
+            assert json.loads(client.readline())["row"] == k + 1
+    source.server.shutdown(socket.SHUT_RDWR)
+    source.server.close()
+    server.join(timeout=20)
+
+
+CLIENT = r"""
+coproc T { exec "$@"; }
+for k in 1 2 3; do
+  echo "{\"alpha\": -0.0$k, \"Fy\": 1000}" >&${T[1]}
+  IFS= read -r state <&${T[0]} && echo "$state"
+done
+"""
+
+
+@pytest.mark.slow
+def test_a_shell_script_gets_a_state_for_each_row(tmp_path: Path) -> None:
+    """The script sends the next row only after the state of the last one."""
+    command = [sys.executable, "-m", "experiments.track", "dataset=front_axle", f"root={tmp_path}"]
+    done = subprocess.run(
+        ["bash", "-c", CLIENT, "client", *command],
+        capture_output=True, text=True, timeout=120, env=os.environ, check=True,
+    )  # fmt: skip
+    states = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [state["row"] for state in states] == [1, 2, 3]
+    assert all(state["seconds"] < 0.005 for state in states)
