@@ -257,8 +257,9 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def kernel(self) -> FitKernel | None:
         """Fast forms of the loss, None if the machine cannot run it."""
-        formula, taped = self._residual_formula, self._taped_residuals
-        if not self.compiled or formula is None or taped is None:
+        formula = self._residual_formula if self.compiled else None
+        taped = None if formula is None else self._taped_residuals
+        if formula is None or taped is None:
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
