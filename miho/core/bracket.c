@@ -91,10 +91,11 @@ static void swap(void *a, void *b, size_t size) {
     }
 }
 
-/* Move the candidates at the first `count` positions of `order` to the front, in this order. */
-static void keep(search *s, int64_t count) {
+/* Keep the candidates at the first `count` positions of `order`, and move the `first` of them to the
+   front, in this order. */
+static void keep_first(search *s, int64_t count, int64_t first) {
     size_t number = sizeof(double), d = (size_t)s->p.d, m = (size_t)s->place[STORED];
-    for (int64_t k = 0; k < count; k++) {
+    for (int64_t k = 0; k < first; k++) {
         int64_t i = s->order[k];
         while (i < k) i = s->order[i]; /* the candidate there has moved since */
         if (i == k) continue;
@@ -107,7 +108,15 @@ static void keep(search *s, int64_t count) {
     s->place[SIZE] = count;
 }
 
-/* Keep the candidates with finite losses, the best first. */
+static void keep(search *s, int64_t count) { keep_first(s, count, count); }
+
+/* Number of candidates out of `size` that may make the steps of a rung. */
+static int64_t largest_rung(const search *s, int64_t size) {
+    return size / s->settings.eta > 1 ? size / s->settings.eta : 1;
+}
+
+/* Keep the candidates with finite losses, the best first; of those that were just drawn, only the
+   ones that may continue are moved. */
 static void sort_usable(search *s) {
     int64_t count = 0;
     for (int64_t i = 0; i < s->place[SIZE]; i++) {
@@ -118,7 +127,8 @@ static void sort_usable(search *s) {
             s->order[k] = s->order[k - 1];
         s->order[k] = i;
     }
-    keep(s, count);
+    int drawn = s->place[PHASE] == SCREEN && !s->settings.solved && count;
+    keep_first(s, count, drawn ? largest_rung(s, count) : count);
 }
 
 /* Begin a phase; steps and progress are counted from here. */
@@ -181,7 +191,7 @@ static int begin_rung(search *s, int entering) {
     double solved = from->projects ? (double)s->p.linears : 0.0;
     double cost = rows / all * (1.0 + solved) + (double)from->slope_cost * rows / all;
     double affordable = from->rung_budget / ((double)from->steps * cost);
-    int64_t fewer = size / from->eta > 1 ? size / from->eta : 1;
+    int64_t fewer = largest_rung(s, size);
     if (affordable < (double)fewer) fewer = affordable > 1.0 ? (int64_t)affordable : 1;
     s->place[SIZE] = fewer;
     if (entering) enter(s);

@@ -113,7 +113,8 @@ void tape_residuals(const tape *t, const double *theta, const double *X, int64_t
 void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
                   int64_t j, double *out, int64_t stride) {
     workspace w;
-    if (!allocate(t, &w)) { /* non-finite residuals end a descent */
+    /* Few rows: registers side by side share the first-level cache. */
+    if (!allocate_rows(t, fewer((j - i + 7) / 8 * 8, rows_of_block(t)), &w)) { /* non-finite residuals end a descent */
         for (int k = 0; k < t->results; k++) not_a_number(out + k * stride, j - i);
         return;
     }
