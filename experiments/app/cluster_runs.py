@@ -9,14 +9,14 @@ import sys
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from experiments.app.execution import result_error, result_line, result_unit
 from experiments.app.explain import ConfigError
 from experiments.app.plan import MODULES, Request, experiment_of
 from experiments.app.schema import SweepConfig
-from experiments.app.working import State, execute, own_code, prepare
+from experiments.app.working import State, execute, own_code, prepare, with_result
 from miho.parallel.cluster import check_address, cluster, dashboard
 from miho.parallel.cluster_process import Placed
 from miho.parallel.cluster_workers import ClusterWorkers
@@ -24,23 +24,8 @@ from miho.parallel.workers import JobOutcome
 from miho.study import Status, Store
 from miho.study.store import RunInUse
 
-
-@dataclass(frozen=True)
-class Errand:
-    """A request for a worker of a cluster: the folder of its relative paths, and whether the worker
-    sees the same files as this machine."""
-
-    request: Request
-    folder: str
-    shared: bool
-
-
-@dataclass(frozen=True)
-class Delivery:
-    """The state after an errand, and the files of its run if this machine stores them."""
-
-    state: State
-    files: Mapping[str, bytes]
+Delivery = tuple[State, Mapping[str, bytes]]
+"""The state of a run, and its files if this machine stores them."""
 
 
 @contextmanager
@@ -61,9 +46,11 @@ def cluster_runs(
         pages = dashboard(client)
         if pages is not None:
             print(f"dashboard {pages} (without a login)", file=sys.stderr)
-        workers: ClusterWorkers[Errand, Delivery] = ClusterWorkers(
-            client, deliver, settings.time_limit, MODULES, prepare=prepare_errand, alone=_alone
-        )
+        here = str(Path.cwd())
+        workers: ClusterWorkers[Request, Delivery] = ClusterWorkers(
+            client, partial(deliver, here, shared), settings.time_limit, MODULES,
+            prepare=partial(prepare_there, here), alone=_alone,
+        )  # fmt: skip
         with workers, ClusterRuns(workers, shared=shared) as runs:
             yield runs
 
@@ -81,7 +68,7 @@ class ClusterRuns:
     has claimed is running elsewhere. The claims end with this process.
     """
 
-    def __init__(self, workers: ClusterWorkers[Errand, Delivery], *, shared: bool) -> None:
+    def __init__(self, workers: ClusterWorkers[Request, Delivery], *, shared: bool) -> None:
         self._workers, self._shared = workers, shared
         self._claims: dict[str, ExitStack] = {}
         self._known: deque[JobOutcome[Request, State]] = deque()
@@ -105,7 +92,7 @@ class ClusterRuns:
     @property
     def jobs(self) -> list[Request]:
         """Runs in execution."""
-        return [errand.request for errand in self._workers.jobs]
+        return self._workers.jobs
 
     def start(self, request: Request) -> None:
         """Start a run, unless it is stored or another process executes it."""
@@ -115,17 +102,14 @@ class ClusterRuns:
                 try:
                     stack.enter_context(store.claim(request.identity))
                 except RunInUse:
-                    self._knows(State(request, Status.RUNNING_ELSEWHERE, ""))
+                    self._knows(State(request, Status.RUNNING_ELSEWHERE))
                     return
                 result = store.result(request.identity)
                 if result is not None:
-                    line = result_line(request.identity, result, Status.DONE_BEFORE)
-                    error, unit = result_error(result), result_unit(result)
-                    self._knows(State(request, Status.DONE_BEFORE, line, error, unit))
+                    self._knows(with_result(request, Status.DONE_BEFORE, result))
                     return
                 self._claims[request.identity.id] = stack.pop_all()
-        there = replace(request, root=str(store.root))
-        self._workers.start(Errand(there, str(Path.cwd()), self._shared))
+        self._workers.start(replace(request, root=str(store.root)))
 
     def wait(self, seconds: float) -> list[JobOutcome[Request, State]]:
         """Wait at most `seconds` for a run to end; store and return the runs that have ended."""
@@ -149,45 +133,46 @@ class ClusterRuns:
     def _knows(self, state: State) -> None:
         self._known.append(JobOutcome(state.request, state))
 
-    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State]:
+    def _stored(self, ended: JobOutcome[Request, Delivery]) -> JobOutcome[Request, State]:
         """Store the files that a worker sent, and return the outcome for the sweep."""
-        request, delivery = ended.job.request, ended.result
-        reason, detail, interrupted = ended.reason, ended.detail, ended.interrupted
+        request = ended.job
         with self._claims.pop(request.identity.id, ExitStack()):
-            if delivery is None:
-                return JobOutcome(request, None, reason, detail, interrupted)
-            if delivery.files:
-                Store(Path(request.root)).receive(request.identity, delivery.files)
-            return JobOutcome(request, delivery.state, reason, detail, interrupted)
+            state, files = ended.result or (None, {})
+            if files:
+                Store(Path(request.root)).receive(request.identity, files)
+            return JobOutcome(request, state, ended.reason, ended.detail, ended.interrupted)
 
 
-def deliver(placed: Placed[Errand]) -> Delivery:
-    """In a process of a worker: execute a run, in a temporary store unless it sees our files."""
-    errand, request = placed.job, placed.job.request
-    _go_to(errand)
+def deliver(folder: str, shared: bool, placed: Placed[Request]) -> Delivery:
+    """In a process of a worker: execute a run, in a temporary store unless it sees our files.
+
+    `folder` is the working folder of the sender; `shared` says that the files are the same here.
+    """
+    request = placed.job
+    _go_to(folder)
     _check_same(request)
-    if errand.shared:
-        return Delivery(execute(request), {})
+    if shared:
+        return execute(request), {}
     state = execute(replace(request, root=placed.folder))
-    if state is not None:  # its line may name a file of an unfinished run
-        state = replace(state, line=state.line.replace(placed.folder, request.root))
-    return Delivery(state, Store(Path(placed.folder)).files(request.identity))
+    # its line may name a file of an unfinished run
+    state = replace(state, line=state.line.replace(placed.folder, request.root))
+    return state, Store(Path(placed.folder)).files(request.identity)
 
 
-def prepare_errand(placed: Placed[Errand]) -> None:
+def prepare_there(folder: str, placed: Placed[Request]) -> None:
     """In a process of a worker: load objects that runs of a user's model share."""
-    _go_to(placed.job)
-    prepare(placed.job.request)
+    _go_to(folder)
+    prepare(placed.job)
 
 
-def _alone(placed: Placed[Errand]) -> bool:
-    return own_code(placed.job.request)
+def _alone(placed: Placed[Request]) -> bool:
+    return own_code(placed.job)
 
 
-def _go_to(errand: Errand) -> None:
+def _go_to(folder: str) -> None:
     """Change to the folder of the sender, if it exists here, so that relative paths agree."""
     with contextlib.suppress(OSError):
-        os.chdir(errand.folder)
+        os.chdir(folder)
 
 
 def _check_same(request: Request) -> None:

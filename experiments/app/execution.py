@@ -22,8 +22,7 @@ from miho.study import Execution, Identity, Status, Store, execute
 def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
     """Execute one run, unless it is stored, with a progress bar unless `quiet`."""
     identity = experiment.identity
-    title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
-
+    title = name_of(identity)
     store = Store(experiment.root)
     problem = experiment.problem.called(calls_of(store.journal(identity)) or ())  # as it was begun
     facts = replace(experiment, problem=problem).facts
@@ -69,14 +68,9 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
         return Execution(Status.FAILED, error=str(error))
 
 
-def line_of(identity: Identity, execution: Execution) -> str:
-    """One line with the run, its error and its cost, or the reason why it has no result."""
-    if execution.run is not None:
-        return result_line(identity, execution.run.result, execution.status)
-    last = (execution.error or "").strip().splitlines()[-1:]
-    again = f"; the next call repeats it (best result so far in {execution.partial})"
-    ending = ": ".join([str(execution.status), *last]) + again * bool(execution.partial)
-    return f"{identity.problem} {identity.optimizer} seed {identity.seed}: {ending}"
+def name_of(identity: Identity) -> str:
+    """Problem, method and seed of a run."""
+    return f"{identity.problem} {identity.optimizer} seed {identity.seed}"
 
 
 def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
@@ -89,17 +83,11 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
     usage = Usage(**(result.get("usage") or {"workers": 1}))
     ending = f"({status})" + (f"; {usage}" if usage.workers > 1 else "")
     return (
-        f"{identity.problem} {identity.optimizer} seed {identity.seed}: {error}, "
+        f"{name_of(identity)}: {error}, "
         f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s {ending}"
     )
 
 
-def result_unit(result: Mapping[str, Any] | None) -> str:
-    """The unit of the error of a run; a dash without a result."""
-    return "-" if result is None else str(result["facts"]["unit"])
-
-
-def result_error(result: Mapping[str, Any] | None) -> float | None:
-    """Root of the loss, in the unit of the problem; None without a result."""
-    loss = None if result is None else result["loss"]
-    return None if loss is None else math.sqrt(loss)
+def result_error(result: Mapping[str, Any]) -> float | None:
+    """Root of the loss, in the unit of the problem; None without a value."""
+    return None if result["loss"] is None else math.sqrt(result["loss"])

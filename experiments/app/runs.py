@@ -19,12 +19,20 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments.app.cluster_runs import ClusterRuns, cluster_runs
-from experiments.app.execution import execution_of, result_error, result_line, result_unit
+from experiments.app.execution import execution_of
 from experiments.app.mirror import check_tracking, mirror_runs
 from experiments.app.plan import MODULES, POLL, Request, experiment_of
 from experiments.app.schema import SweepConfig
 from experiments.app.signals import Stopped, stopping
-from experiments.app.working import State, ended_state, execute, executed_state, own_code, prepare
+from experiments.app.working import (
+    State,
+    ended_state,
+    execute,
+    executed_state,
+    own_code,
+    prepare,
+    with_result,
+)
 from miho.parallel.cluster import ClusterLost, is_address
 from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Status, Store
@@ -135,8 +143,8 @@ def stored_state(request: Request) -> State:
     store = Store(Path(request.root))
     result = store.result(request.identity)
     if result is not None:
-        line, error = f"done before: {request.words}", result_error(result)
-        return State(request, Status.DONE_BEFORE, line, error, result_unit(result))
+        state = with_result(request, Status.DONE_BEFORE, result)
+        return replace(state, line=f"done before: {request.words}")
     reason = store.reason(request.identity)
     if reason is None:
         return State(request, Status.TO_DO, f"to do: {request.words}")
@@ -149,7 +157,7 @@ def _unknown(plan: Sequence[Request], states: Sequence[State]) -> list[State]:
     unknown = [request for request in plan if request.identity.id not in known]
     stored = [Store(Path(request.root)).has_result(request.identity) for request in unknown]
     return [
-        State(request, Status.DONE_BEFORE if is_stored else Status.TO_DO, "")
+        State(request, Status.DONE_BEFORE if is_stored else Status.TO_DO)
         for request, is_stored in zip(unknown, stored, strict=True)
     ]
 
@@ -168,9 +176,7 @@ def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[Sta
         if request.experiment is None:  # a run in this process checks the store itself
             result = store.result(request.identity)
             if result is not None:
-                line = result_line(request.identity, result, Status.DONE_BEFORE)
-                error, unit = result_error(result), result_unit(result)
-                yield State(request, Status.DONE_BEFORE, line, error, unit)
+                yield with_result(request, Status.DONE_BEFORE, result)
                 continue
             if store.lost_result(request.identity):
                 deleted.append(request.words)
@@ -187,8 +193,8 @@ def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[Sta
 def _run_here(plan: Sequence[Request]) -> Iterator[State]:
     """Execute the runs in this process, each with a progress bar, and yield their states."""
     for request in plan:
-        execution = execution_of(request.experiment or experiment_of(request.setting))
-        yield replace(executed_state(request, execution), run=execution.run)
+        experiment = request.experiment or experiment_of(request.setting)
+        yield executed_state(request, execution_of(experiment))
 
 
 def _workers(

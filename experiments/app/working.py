@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from experiments.app.build import build_optimizer
-from experiments.app.execution import execution_of, line_of, result_error, result_unit
+from experiments.app.execution import execution_of, name_of, result_error, result_line
 from experiments.app.origin import our_code, packages_of
 from experiments.app.plan import Request, dataset_of, experiment_of, setting_of
 from miho.identification import CurveFit
@@ -26,24 +28,29 @@ class State:
 
     request: Request
     status: Status
-    line: str
+    line: str = ""
     error: float | None = None
     unit: str = "-"
     reason: str | None = None
     run: StoredRun | None = None
 
 
+def with_result(request: Request, status: Status, result: Mapping[str, Any]) -> State:
+    """State of a request that has a result."""
+    line = result_line(request.identity, result, status)
+    return State(request, status, line, result_error(result), str(result["facts"]["unit"]))
+
+
 def executed_state(request: Request, execution: Execution) -> State:
     """State after an execution."""
+    if execution.run is not None:
+        state = with_result(request, execution.status, execution.run.result)
+        return replace(state, run=execution.run)
     last = (execution.error or "").strip().splitlines()[-1:]
-    return State(
-        request,
-        execution.status,
-        line_of(request.identity, execution),
-        result_error(None if execution.run is None else execution.run.result),
-        result_unit(None if execution.run is None else execution.run.result),
-        last[0] if last else None,
-    )
+    again = f"; the next call repeats it (best result so far in {execution.partial})"
+    ending = ": ".join([str(execution.status), *last]) + again * bool(execution.partial)
+    line = f"{name_of(request.identity)}: {ending}"
+    return State(request, execution.status, line, reason=last[0] if last else None)
 
 
 def ended_state(ended: JobOutcome[Request, State]) -> State:
@@ -57,9 +64,8 @@ def ended_state(ended: JobOutcome[Request, State]) -> State:
     status, identity = Status.INTERRUPTED if interrupted else Status.LOST, request.identity
     if ended.result is None:  # else it has kept its curve
         Store(Path(request.root)).keep_reason(identity, reason, ended.detail, str(status))
-    name = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
     ending = status if reason == status else f"{status}: {reason}"
-    return State(request, status, f"{name}: {ending}", reason=reason)
+    return State(request, status, f"{name_of(identity)}: {ending}", reason=reason)
 
 
 def own_code(request: Request) -> bool:
@@ -84,4 +90,4 @@ def execute(request: Request) -> State:
     """In a worker: execute a run, unless it is stored."""
     root = Path(request.root).absolute()  # before the user's model can change the working folder
     experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
-    return executed_state(request, execution_of(experiment, quiet=True))
+    return replace(executed_state(request, execution_of(experiment, quiet=True)), run=None)

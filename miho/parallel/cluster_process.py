@@ -7,11 +7,11 @@ import multiprocessing
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic
 
-from miho.parallel.worker_process import INTERRUPTED, Answer, Job, Result
+from miho.parallel.worker_process import INTERRUPTED, Job, Reply
 from miho.parallel.workers import Workers
 
 POLL = 0.1
@@ -30,18 +30,6 @@ class Placed(Generic[Job]):
     folder: str
 
 
-@dataclass(frozen=True)
-class Task(Generic[Job, Result]):
-    """Arguments of `Workers` that all jobs of an owner share."""
-
-    owner: str
-    work: Callable[[Placed[Job]], Result]
-    time_limit: float | None
-    modules: Sequence[str]
-    prepare: Callable[[Placed[Job]], object] | None
-    alone: Callable[[Placed[Job]], bool] | None
-
-
 Process = Workers[Placed[Any], Any]
 _LOCK = threading.Lock()
 _INTERRUPTS: dict[str, int] = {}
@@ -51,8 +39,11 @@ _WAITING: dict[str, list[tuple[Process, threading.Timer]]] = {}
 longer than many jobs."""
 
 
-def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
-    """Run a job in a thread of the worker; return its result, or the reason for having none."""
+def run_at_worker(owner: str, started: Callable[[], Process], job: Job) -> Reply[Any]:
+    """Run a job in a thread of the worker; return its result, or the reason for having none.
+
+    `started` returns a new process for the jobs of this owner.
+    """
     import distributed
 
     # Dask's workers are daemons by default, and daemons may have no children. Ours end with them
@@ -60,7 +51,7 @@ def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
     multiprocessing.current_process().daemon = False
     worker = distributed.get_worker()
     key = worker.get_current_task()
-    process = _process_for(task)
+    process = _idle_process(owner) or started()
     with (
         tempfile.TemporaryDirectory(prefix="miho-", dir=worker.local_directory) as folder,
         contextlib.ExitStack() as ending,
@@ -72,9 +63,9 @@ def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
             for ended in process.wait(POLL):
                 if until == float("inf"):  # else the owner sends no more jobs
                     ending.pop_all()
-                    _keep(task.owner, process)
+                    _keep(owner, process)
                 return ended.result, ended.reason, ended.detail
-            times = _INTERRUPTS.get(task.owner, 0)
+            times = _INTERRUPTS.get(owner, 0)
             state = worker.state.tasks.get(key)
             if until == float("inf") and (state is None or state.state == "cancelled"):
                 times, until = sent + 1, time.monotonic() + GRACE
@@ -99,17 +90,15 @@ def dismiss(owner: str) -> None:
     _INTERRUPTS.pop(owner, None)
 
 
-def _process_for(task: Task[Any, Any]) -> Process:
-    """An idle process of this owner, or else a new one."""
+def _idle_process(owner: str) -> Process | None:
+    """An idle process of this owner, if any."""
     with _LOCK:
-        waiting = _WAITING.get(task.owner)
-        if waiting:
-            process, timer = waiting.pop()
-            timer.cancel()
-            return process
-    return Workers(
-        task.work, 1, task.time_limit, task.modules, prepare=task.prepare, alone=task.alone
-    )
+        waiting = _WAITING.get(owner)
+        if not waiting:
+            return None
+        process, timer = waiting.pop()
+        timer.cancel()
+        return process
 
 
 def _keep(owner: str, process: Process) -> None:

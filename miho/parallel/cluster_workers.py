@@ -13,9 +13,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic
 
 from miho.parallel.cluster import PATIENCE, ClusterLost
-from miho.parallel.cluster_process import Placed, Task, dismiss, interrupt, run_at_worker
+from miho.parallel.cluster_process import Placed, dismiss, interrupt, run_at_worker
 from miho.parallel.worker_process import Job, Result
-from miho.parallel.workers import JobOutcome
+from miho.parallel.workers import JobOutcome, Workers
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -47,7 +47,9 @@ class ClusterWorkers(Generic[Job, Result]):
         alone: Callable[[Placed[Job]], bool] | None = None,
     ) -> None:
         self._client, self._owner = client, uuid.uuid4().hex
-        self._task = Task(self._owner, work, time_limit, tuple(modules), prepare, alone)
+        self._process: Callable[[], Workers[Placed[Job], Result]] = partial(
+            Workers, work, 1, time_limit, tuple(modules), prepare=prepare, alone=alone
+        )
         self._jobs: dict[Future[Any], Job] = {}
         self._ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._interrupts = self._sent = 0
@@ -90,7 +92,12 @@ class ClusterWorkers(Generic[Job, Result]):
         if self._broken or self._client.status != "running":
             raise ClusterLost(self._break)
         future = self._client.submit(
-            run_at_worker, self._task, job, key=f"miho-{uuid.uuid4().hex}", pure=False
+            run_at_worker,
+            self._owner,
+            self._process,
+            job,
+            key=f"miho-{uuid.uuid4().hex}",
+            pure=False,
         )
         self._jobs[future] = job
         future.add_done_callback(self._ended.put)

@@ -20,7 +20,7 @@ from miho.parallel.remote import Raised
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-Answer = tuple[Result | None, str | None, str | None]
+Reply = tuple[Result | None, str | None, str | None]
 """A job's result, the reason for having none in one line, and the traceback."""
 
 INTERRUPTED = "interrupted"
@@ -77,8 +77,8 @@ class _Interrupts:
             os.kill(self.process, signal.SIGINT)
 
 
-def _run_here(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) -> Answer[Result]:
-    """Answer of a job that runs in the worker process."""
+def _run_here(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) -> Reply[Result]:
+    """Reply of a job that runs in the worker process."""
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         return (None, INTERRUPTED, None) if interrupts.interrupted else _call(work, job)
@@ -88,10 +88,8 @@ def _run_here(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) 
         signal.signal(signal.SIGINT, interrupts.interrupt)
 
 
-def _run_in_fork(
-    work: Callable[[Job], Result], job: Job, interrupts: _Interrupts
-) -> Answer[Result]:
-    """Answer of a job that runs in a forked process, or the reason why the process ended.
+def _run_in_fork(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) -> Reply[Result]:
+    """Reply of a job that runs in a forked process, or the reason why the process ended.
 
     All processes that the job started are ended with it.
     """
@@ -126,13 +124,13 @@ def _run_in_fork(
 
 def _receive(
     pipe: connection.Connection, process: int, sentinels: Sequence[int]
-) -> Answer[Any] | None:
+) -> Reply[Any] | None:
     """The answer that arrives before the process ends, or None."""
     while True:
         connection.wait([pipe, *sentinels], None if sentinels else POLL)
         if pipe.poll():
             try:
-                answer: Answer[Any] = pipe.recv()
+                answer: Reply[Any] = pipe.recv()
             except Exception:  # noqa: BLE001 -- cut short by its end, or sent by the job itself
                 return None
             return answer
@@ -162,8 +160,8 @@ def _run_and_exit(
         os._exit(code)
 
 
-def _call(work: Callable[[Job], Result], job: Job) -> Answer[Result]:
-    """Answer of a job, including any exception that it raises."""
+def _call(work: Callable[[Job], Result], job: Job) -> Reply[Result]:
+    """Reply of a job, including any exception that it raises."""
     try:
         return work(job), None, None
     except KeyboardInterrupt:
