@@ -11,6 +11,7 @@
 #define SMALLEST 1e-300
 #define LARGEST_NOISE 1e6
 #define RISE 1.02
+#define TOGETHER 0.5
 #define NEGLIGIBLE 1e-6        /* weight in an interval */
 #define FAR 40.0               /* deviations that hold all of a distribution */
 #define CLOSE 1e-6
@@ -36,7 +37,8 @@ typedef struct {
     double *X, *results, *row, *noise, *y, *grown;
     double *before, *taught, *Pj, *step;
     uint8_t *teaches, *is_free;
-    int any;
+    double inlier;
+    int any, counts;
 } desk;
 
 int64_t length_of_memory(const track_sizes *of) {
@@ -215,7 +217,21 @@ static void note(const track_sizes *of, population *at, const rules_of *rules, c
     }
 }
 
-/* One Gauss-Newton step by output o of hypothesis s; returns the information on all parameters. */
+/* Whether a row weighs the hypotheses: one that informs no watched parameter says nothing on its
+   change. */
+static int counts(const track_sizes *of, const population *at, const rules_of *rules,
+                  const desk *from, int64_t best) {
+    int any = 0;
+    for (int64_t i = 0; i < of->d; i++) {
+        if (rules->watched[i] == 0.0) continue;
+        any = 1;
+        if (information_of(of, rules, from, best, i) >= rules->number[USE] * at->peak[i]) return 1;
+    }
+    return !any;
+}
+
+/* One Gauss-Newton step by output o of hypothesis s, for a row that is an inlier with probability
+   `to->inlier`; returns the information on all parameters. */
 static double step_by(const track_sizes *of, population *at, const rules_of *rules, desk *to,
                       int64_t o, int64_t s) {
     int64_t d = of->d;
@@ -237,12 +253,14 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
         S += j[i] * sum;
     }
     S += r;
-    double share = rules->number[OUTLIERS], wide = S + rules->number[WIDTH] * r;
+    double share = rules->number[OUTLIERS] * to->inlier + TOGETHER * (1.0 - to->inlier);
+    double wide = S + rules->number[WIDTH] * r;
     double inlier = (1.0 - share) * exp_of(-0.5 * e * e / S) / sqrt(S);
     double both = inlier + share * exp_of(-0.5 * e * e / wide) / sqrt(wide) + SMALLEST;
-    at->weight[s] += log_of(both);
+    if (to->counts) at->weight[s] += log_of(both);
     double kept = inlier / both;
     kept = kept > 1.0 / LARGEST_NOISE ? kept : 1.0 / LARGEST_NOISE;
+    to->inlier = kept < to->inlier ? kept : to->inlier;
     double information = kept * (S / r - 1.0);
     S /= kept;
     for (int64_t i = 0; i < d; i++) {
@@ -279,6 +297,7 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
             at->weight[s] += log_of(SMALLEST);
             return;
         }
+    to->inlier = 1.0;
     for (int64_t o = 0; o < of->m; o++)
         if (!isnan(to->y[o])) information += step_by(of, at, rules, to, o, s);
     for (int64_t i = 0; i < d; i++) {
@@ -360,7 +379,7 @@ static void bear(const track_sizes *of, population *at, const rules_of *rules, i
 }
 
 static void write_estimate(const track_sizes *of, const double *numbers, double *memory,
-                    double *estimate) {
+                           double *estimate) {
     rules_of rules = rules_in(of, numbers);
     population at = population_in(of, memory);
     int64_t K = of->K, d = of->d;
@@ -415,6 +434,7 @@ int track_update(const track_sizes *of, const double *numbers, const double *row
         smooth_inputs(of, &at, &rules, row, seconds, &to);
         run_tape(of, &at, room, &to);
         note(of, &at, &rules, &to, before);
+        to.counts = counts(of, &at, &rules, &to, before);
         for (int64_t s = 0; s < of->K; s++)
             if (at.weight[s] > EMPTY) learn(of, &at, &rules, &to, s, s == before);
     }

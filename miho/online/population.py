@@ -24,6 +24,8 @@ LEAST_WEIGHT = -1e6
 SMALLEST = 1e-300
 LARGEST_NOISE = 1e6
 """Largest factor by which a suspected outlier is less certain, as one over its share of inliers."""
+TOGETHER = 0.5
+"""Probability that an output is an outlier if another one of the row is."""
 RISE = 1.02
 """Largest rise of a parameter's best information by one row: a wrong input must not set it."""
 NUMBERS = ("row", "clock", "last_time", "since", "quiet_until", "turn", "odds", "alarm", "gain")
@@ -276,19 +278,26 @@ class Population:
         information = np.sqrt(np.sum((J / rules.sigma[:, None, None]) ** 2, axis=0))
         best = living[np.argmax(self.weight[living])]
         self._note(information[best])
-        free = (information >= rules.use * self.peak) | (rules.watched == 0)
+        # A row that informs no watched parameter says nothing on its change.
+        watched = rules.watched > 0
+        informs = (information[best] >= rules.use * self.peak) & watched
+        counts = bool(informs.any() or not watched.any())
+        free = (information >= rules.use * self.peak) | ~watched
         for s in living:
             if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
                 self.weight[s] += math.log(SMALLEST)
                 continue
+            weight = self.weight[s]
             taught, gain = self._correct(
                 s, slopes.values[:, s], J[:, s], variance[:, s], free[s], y
             )
+            if not counts:
+                self.weight[s] = weight
             self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
             self.share[s] += taught
             if s == best:
                 self["gain"] = gain
-        return np.asarray((free & (rules.watched > 0)).any(axis=1))
+        return np.asarray((free & watched).any(axis=1))
 
     def _note(self, information: Array) -> None:
         """Note the information (d,) of a row, and the parameters that it informs."""
@@ -303,17 +312,19 @@ class Population:
     ) -> tuple[Array, float]:
         """One Gauss-Newton step per output; returns the shares taught (d,) and the information."""
         rules, P, theta = self.rules, self.P[s], self.theta[s]
-        before, total, taught = theta.copy(), 0.0, np.zeros(theta.size)
+        before, total, taught, together = theta.copy(), 0.0, np.zeros(theta.size), 1.0
         for o in np.flatnonzero(~np.isnan(y)):
             j = J[o]
             e = y[o] - values[o] - j @ ((theta - before) / rules.unit)
             Pj = P @ j
             S = float(j @ Pj) + variance[o]
             wide = S + rules.width * variance[o]
-            inlier = (1 - rules.outliers) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
-            outlier = rules.outliers * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)
+            share = rules.outliers * together + TOGETHER * (1 - together)
+            inlier = (1 - share) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
+            outlier = share * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)
             self.weight[s] += math.log(inlier + outlier + SMALLEST)
             kept = max(inlier / (inlier + outlier + SMALLEST), 1 / LARGEST_NOISE)
+            together = min(together, kept)
             total += kept * (S / variance[o] - 1)
             S /= kept
             gain = np.where(free, Pj / S, 0.0)
