@@ -30,10 +30,15 @@ from baselines.online import Stream
 from experiments.app.build import ConfigError, build_problem
 from experiments.app.console import command
 from experiments.app.instantiation import instantiate
-from experiments.online.comparison import compare, score
 from experiments.online.live import LiveView
-from experiments.online.results import EARLIER, STATE, resumed, write_session
-from experiments.online.session import STATES, Session, in_words
+from experiments.online.session import (
+    EARLIER,
+    STATE,
+    STATES,
+    Session,
+    in_words,
+    resumed,
+)
 from experiments.online.sources import Lines, Replay, Socket, Source, Synthetic
 from miho.data import Dataset
 from miho.fitting.search import searched
@@ -86,6 +91,8 @@ def track(cfg: DictConfig) -> None:
     try:
         session.run(task.source)
     finally:
+        from experiments.online.results import write_session  # slow: it draws
+
         said = [in_words(alarm, words) for alarm in session.alarms]
         if session.last is not None:
             if view is not None:
@@ -98,6 +105,8 @@ def track(cfg: DictConfig) -> None:
             if not several:
                 print("\n".join(map(str, paths)), file=out)
     if task.stream is not None:
+        from experiments.online.comparison import compare, score  # slow: they draw
+
         score(root, name, cfg.seed, task.stream, session.alarms)
         if several:
             compare(Path(cfg.root))

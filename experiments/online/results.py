@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.online.session import STATES
+from experiments.online.session import STATE, STATES
 from miho.analysis.figures.house import png
 from miho.analysis.figures.tracking import states_figure
 from miho.analysis.pages.html import PAGE
@@ -18,7 +18,7 @@ from miho.models.identified import parameters_text
 from miho.online import Alarm, Running, Tracker
 from miho.study import write_bytes, write_text
 
-STATE, ROWS, EARLIER = "tracker.pickle", "informative_rows.csv", "states.earlier.csv"
+ROWS = "informative_rows.csv"
 MOST = 20_000
 """Largest number of states in the figure."""
 
@@ -71,14 +71,3 @@ def session_page(
     ]  # fmt: skip
     subtitle = f"{len(states):,} rows up to {last['time']:.1f} s."
     return page(title, subtitle, sections)
-
-
-def resumed(path: Path) -> Running:
-    """Return the method as a session left it.
-
-    A pickle can run code, so only a file of one's own session may be resumed.
-    """
-    running = pickle.loads(path.read_bytes())  # noqa: S301 - the user names a file of their own
-    if not isinstance(running, Running):
-        raise ValueError(f"{path}: is a {type(running).__name__}; expected the state of a session")
-    return running

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from experiments.online.live import LiveView
 from experiments.online.sources import Source, parsed
 from miho.online import Alarm, Running, TrackerState
 
-STATES = "states.csv"
+STATES, STATE, EARLIER = "states.csv", "tracker.pickle", "states.earlier.csv"
 FLUSHED = 0.5
 """Seconds after which written states are on the disk."""
 
@@ -122,3 +123,14 @@ def in_words(alarm: Alarm, words: Mapping[str, str]) -> str:
         name = words.get(one.parameter, one.parameter.replace("_", " "))
         parts.append(name + one.size.removeprefix(one.parameter))
     return " and ".join(parts) + f" at {alarm.time:.1f} s"
+
+
+def resumed(path: Path) -> Running:
+    """Return the method as a session left it.
+
+    A pickle can run code, so only a file of one's own session may be resumed.
+    """
+    running = pickle.loads(path.read_bytes())  # noqa: S301 - the user names a file of their own
+    if not isinstance(running, Running):
+        raise ValueError(f"{path}: is a {type(running).__name__}; expected the state of a session")
+    return running

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import miho
-from experiments.online.results import resumed, write_session
-from experiments.online.session import Session
+from experiments.online.results import write_session
+from experiments.online.session import Session, resumed
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
 from miho.online import Tracker
 
