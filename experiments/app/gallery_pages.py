@@ -11,7 +11,8 @@ COLUMNS = 3
 """Number of pictures side by side in the index."""
 SECTIONS = {
     "Vehicles and machines": (
-        "tire", "engine_torque", "driving_log", "battery_pulse", "robot_joint", "damped_modes",
+        "tire", "engine_torque", "driving_log", "online", "battery_pulse", "robot_joint",
+        "damped_modes",
     ),
     "Chemistry and biology": (
         "spectrum", "enzyme", "dose_response", "logistic_growth", "pharmacokinetics",
