@@ -36,7 +36,7 @@ from experiments.app.safety import ReceivedError, SecretError, check_folder, che
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError
 from miho.parallel.cluster import ClusterError
-from miho.parallel.worker_process import SPURIOUS_INTERRUPT
+from miho.parallel.errors import SPURIOUS_INTERRUPT
 from miho.regular_file import NotAFileError
 from miho.study import DamagedRun
 from miho.study.changes import ResumeRefused

@@ -12,7 +12,7 @@ from experiments.app.execution import execution_of, name_of, result_error, resul
 from experiments.app.origin import our_code, packages_of
 from experiments.app.plan import Request, dataset_of, experiment_of, setting_of
 from miho.identification import CurveFit
-from miho.parallel.worker_process import SPURIOUS_INTERRUPT
+from miho.parallel.errors import SPURIOUS_INTERRUPT
 from miho.parallel.workers import JobOutcome
 from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
 from miho.study.contention import reference_work

@@ -11,6 +11,7 @@ import sys
 import time
 import warnings
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +21,11 @@ from miho.models.joint import JointExpression, JointModel
 from miho.models.leaves import dear_leaves
 from miho.models.model import Model
 from miho.models.tied import Tied, TiedModel
-from miho.parallel import Evaluations
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations
 
 CONFIGURATIONS, VALUES = 30, 1_000_000
 """Largest numbers of configurations, and of their values, that are compared before a search."""

@@ -7,14 +7,18 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from typing import TYPE_CHECKING
 
 from miho.identification.curve_fit import CurveFit
 from miho.optim import Budget, Optimizer, Oracle, RunRecord
 from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
-from miho.parallel import Evaluations, Journal, NoWorkersLeft, Workers, calls_of
+from miho.parallel.errors import NoWorkersLeft
 from miho.parallel.usage import span
 from miho.parallel.worth import is_dear
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations, Workers
 
 FIRST = 2.0
 """Seconds before the first line of progress."""
@@ -30,7 +34,11 @@ def as_begun(
     The problem is not evaluated if it is known to be expensive, because a journal exists, or if a
     `limit` applies to each evaluation.
     """
-    calls = None if journal is None else calls_of(journal)
+    if journal is None:
+        return problem_of(limit is not None)
+    from miho.parallel import calls_of
+
+    calls = calls_of(journal)
     return problem_of(calls is not None or limit is not None).called(calls or ())
 
 
@@ -47,9 +55,13 @@ def dear_fit(
     a Ctrl-C the exception names the journal and the number of evaluations in it.
     """
     with ExitStack() as stack:
-        book = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
-        if book is not None and book.standing:
-            _say(f"{title(problem)}: {book.standing} ({journal})")
+        book = None
+        if journal is not None:
+            from miho.parallel import Journal
+
+            book = stack.enter_context(closing(Journal(journal, problem)))
+            if book.standing:
+                _say(f"{title(problem)}: {book.standing} ({journal})")
         evaluations = stack.enter_context(
             open_evaluations(problem, workers, evaluation_limit, book)
         )

@@ -40,7 +40,6 @@ from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
 from miho.models.traced import Remade
 from miho.optim import Descents, Minimum, in_optimum
-from miho.parallel.remote import Raised
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
@@ -138,6 +137,8 @@ class Fit(Remade):
                 return
             now = f"its error at the optimum is {self.error:.9g}"
         except Exception as error:  # noqa: BLE001 -- whatever the model raises
+            from miho.parallel.remote import Raised
+
             now = f"it raises {Raised.of(error).line}"
         sys.stderr.write(
             f"miho: {self.problem.name}: the model has changed since this fit was stored: {now}, "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from miho.models.function_model import FunctionModel
 from miho.models.joint import PART, JointModel, JointPart, joined, parts_of
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
-from miho.parallel import Evaluations
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations
 
 OUTPUT, SIGMA = "output of the part", "sigma of the row"
 SETTLED, ROUNDS = 1e-3, 20

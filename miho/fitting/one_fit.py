@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -34,8 +34,10 @@ from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.optim import Budget, Optimizer, Space
 from miho.optim.gauss_newton_descent import descended as descended_by_machine
-from miho.parallel import Evaluations, Workers
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations, Workers
 
 EDGE = 1e-6
 """A value closer than this share of a range to one of its ends counts as at the edge."""

@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from miho.fitting.confirmed import by_calls, check_repeats, compared_at
 from miho.fitting.dear_fit import interrupted, pace_line, spread, title
@@ -24,7 +25,9 @@ from miho.optim import (
     minimize,
 )
 from miho.optim.usable_values import NOT_FINITE
-from miho.parallel import Evaluations
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations
 
 DEFAULT = MIHOGN()
 

@@ -38,14 +38,13 @@ from miho.models.weighted import weighted
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Parameter, Space
-from miho.parallel import Evaluations
 from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
     from miho.compiled.kernel import Rows
     from miho.compiled.taped import TapedLoss
-
+    from miho.parallel import Evaluations
 
 FRACTION = 1e-12
 """Tolerance for the rounding of a fidelity: m / N means m rows."""

@@ -6,7 +6,7 @@ import hashlib
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from miho.models.function_calls import UNTRIED, Calls
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.spread import SpreadModel
-from miho.parallel import Evaluations
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations
 
 DIGITS = 16
 """Length of the digests that identify a journal."""

@@ -5,13 +5,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from miho.models.derived import Derived
 from miho.models.model import DifferencedModel, ExternalModel, Model
-from miho.parallel import Evaluated, Evaluations
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluated, Evaluations
 
 DECLARED = ("inputs", "parameters", "output", "linear", "name", "source", "ordered", "nominal")
 """Attributes of the model that the wrapper has too."""

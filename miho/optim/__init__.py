@@ -1,27 +1,33 @@
 """Optimisation: problems, methods, and the oracle that evaluates and counts."""
 
-from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
-from miho.optim.distribution import Distribution
-from miho.optim.evidence import Agreement, agreement, in_optimum
-from miho.optim.meter import (
-    Budget,
-    BudgetExhausted,
-    Clock,
-    Meter,
-    RunInterrupted,
-    UnusableValueError,
-)
-from miho.optim.miho import MIHO
-from miho.optim.miho_gn import MIHOGN
-from miho.optim.miho_qn import MIHOQN
-from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
-from miho.optim.optimizer import AskTell, Optimizer, Resumable
-from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.optim.random_search import RandomSearch
-from miho.optim.schedule import Rung, hyperband_table
-from miho.optim.space import Parameter, Space
-from miho.optim.trace import Descent, Descents, Minimum, Starts, Trace
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+from miho.optim.minimize import minimize  # at once: the module has the same name
+
+if TYPE_CHECKING:
+    from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
+    from miho.optim.distribution import Distribution
+    from miho.optim.evidence import Agreement, agreement, in_optimum
+    from miho.optim.meter import (
+        Budget,
+        BudgetExhausted,
+        Clock,
+        Meter,
+        RunInterrupted,
+        UnusableValueError,
+    )
+    from miho.optim.miho import MIHO
+    from miho.optim.miho_gn import MIHOGN
+    from miho.optim.miho_qn import MIHOQN
+    from miho.optim.minimize import Checkpoint, Outcome, RunRecord
+    from miho.optim.optimizer import AskTell, Optimizer, Resumable
+    from miho.optim.oracle import Oracle
+    from miho.optim.problem import LeastSquaresProblem, Problem
+    from miho.optim.random_search import RandomSearch
+    from miho.optim.schedule import Rung, hyperband_table
+    from miho.optim.space import Parameter, Space
+    from miho.optim.trace import Descent, Descents, Minimum, Starts, Trace
 
 __all__ = [
     "MIHO",
@@ -65,8 +71,4 @@ REMOVED = {
     "AsynchronousMIHO": "use AsynchronousMIHOGN, or MIHO, whose batches workers evaluate",
 }
 
-
-def __getattr__(name: str) -> object:
-    if name in REMOVED:
-        raise ImportError(f"miho.optim.{name} was removed; {REMOVED[name]}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = at_first_use(__name__, REMOVED)

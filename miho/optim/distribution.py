@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from miho.optim.meter import Meter
 from miho.optim.problem import Problem
 from miho.optim.usable_values import UsableValues, read_only
-from miho.parallel import Ahead, Evaluations
-from miho.parallel.usage import Usage
+from miho.parallel.pending import Ahead
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations
+    from miho.parallel.usage import Usage
 
 Kind = Literal["loss", "residuals", "jacobian"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -37,8 +37,10 @@ from miho.compiled.workspace import CHUNK, Work, room_for, work
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import Blocks, MIHOGNState
 from miho.optim.oracle import Oracle
-from miho.parallel import Ahead
 from miho.quantities import Array, Integers
+
+if TYPE_CHECKING:
+    from miho.parallel.pending import Ahead
 
 EVENTS = 1024
 """Evaluations of all rows in one block, at most; each may be an improvement, which needs room."""

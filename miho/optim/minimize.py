@@ -17,19 +17,22 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import Problem
 from miho.optim.seeds import stream
-from miho.optim.spread import JournalFile, spread_problem
+from miho.optim.spread import spread_problem
 from miho.optim.trace import Descents, Trace
-from miho.parallel import Evaluations, NoWorkersLeft, StaleJournalError, Workers
-from miho.parallel.usage import Usage
-from miho.parallel.worker_process import SPURIOUS_INTERRUPT
+from miho.parallel.errors import SPURIOUS_INTERRUPT, NoWorkersLeft, StaleJournalError
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.optim.spread import JournalFile
+    from miho.parallel import Evaluations, Workers
+    from miho.parallel.usage import Usage
 
 
 class Outcome(StrEnum):

@@ -26,8 +26,10 @@ from miho.optim.space import Space
 from miho.optim.structure import MOST, has_structure
 from miho.optim.trace import Trace
 from miho.optim.usable_values import UsableValues
-from miho.parallel import Evaluations
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluations
 
 CHUNK_SECONDS = 0.02
 """Seconds of evaluations between two checks of the clock."""

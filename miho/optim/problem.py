@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled import Kernel
 from miho.optim.space import Space
-from miho.parallel import Evaluations
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.compiled import Kernel
+    from miho.parallel import Evaluations
 
 
 class Problem(ABC):

@@ -6,26 +6,22 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.parallel import (
-    Evaluated,
-    Evaluations,
-    Journal,
-    StaleJournalError,
-    Workers,
-    open_pool,
-)
+from miho.parallel.errors import StaleJournalError
 from miho.quantities import Array
 from miho.validate import positive
+
+if TYPE_CHECKING:
+    from miho.parallel import Evaluated, Evaluations, Journal, Workers
 
 WHOLE = 1.0
 
 
-JournalFile = str | os.PathLike[str] | Journal | None
+JournalFile: TypeAlias = "str | os.PathLike[str] | Journal | None"
 """A file for the evaluations of a problem, or an open journal."""
 
 
@@ -108,6 +104,11 @@ def open_evaluations(
     soon as it turns out that its model has changed; UncheckedJournalError if the model fails for a
     reason that may be temporary.
     """
+    if workers is None and evaluation_limit is None and journal is None:
+        yield None
+        return
+    from miho.parallel import Evaluations, Journal, open_pool
+
     if isinstance(workers, Evaluations):
         yield workers
         return

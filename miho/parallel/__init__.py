@@ -1,10 +1,20 @@
 """Evaluations in other processes and on other machines, and the evaluation log (journal)."""
 
-from miho.parallel.evaluations import Evaluated, Evaluations
-from miho.parallel.journal import Journal, JournalError, UncheckedJournalError, calls_of
-from miho.parallel.journal_check import StaleJournalError
-from miho.parallel.pending import Ahead, NoWorkersLeft
-from miho.parallel.pool import Pool, Workers, open_pool
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.parallel.errors import (
+        JournalError,
+        NoWorkersLeft,
+        StaleJournalError,
+        UncheckedJournalError,
+    )
+    from miho.parallel.evaluations import Evaluated, Evaluations
+    from miho.parallel.journal import Journal, calls_of
+    from miho.parallel.pending import Ahead
+    from miho.parallel.pool import Pool, Workers, open_pool
 
 __all__ = [
     "Ahead",
@@ -20,3 +30,5 @@ __all__ = [
     "calls_of",
     "open_pool",
 ]
+
+__getattr__, __dir__ = at_first_use(__name__)

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.parallel.errors import NoWorkersLeft
 from miho.parallel.journal import Journal, Key
 from miho.parallel.journal_check import JournalCheck
-from miho.parallel.pending import Ahead, NoWorkersLeft, Pending
+from miho.parallel.pending import Ahead, Pending
 from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import HungError, OverdueError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised

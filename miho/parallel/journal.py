@@ -20,6 +20,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from miho.parallel.errors import JournalError
 from miho.parallel.remote import Raised
 from miho.regular_file import NotAFileError, check_regular
 
@@ -27,14 +28,6 @@ FORMAT = 2
 SYNCED = 1.0
 """Seconds of evaluations that a power failure may cost. The end of a process costs none."""
 Key = tuple[str, bytes]
-
-
-class JournalError(ValueError):
-    """A journal cannot be used. The message names the file and a remedy in one line."""
-
-
-class UncheckedJournalError(JournalError):
-    """A journal cannot be checked, because its model fails for a reason that may be temporary."""
 
 
 class Described(Protocol):

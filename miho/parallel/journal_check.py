@@ -12,7 +12,8 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.journal import Journal, JournalError, Key, UncheckedJournalError
+from miho.parallel.errors import JournalError, StaleJournalError, UncheckedJournalError
+from miho.parallel.journal import Journal, Key
 from miho.parallel.remote import Raised
 
 Array = NDArray[np.float64]
@@ -29,18 +30,6 @@ EARLY = 10
 """Number of first values of a function that give its typical size, which is a further scale for
 differences: the residuals of a perfect fit are rounding errors. The largest value of all would not
 do, because one huge value would hide every change."""
-
-
-class StaleJournalError(BaseException):
-    """The values of a journal differ from its functions, or cannot be compared with them.
-
-    It is not an Exception, because methods may treat an Exception as a rejected evaluation. The
-    `error` is a JournalError for the method's caller.
-    """
-
-    def __init__(self, error: JournalError) -> None:
-        super().__init__(str(error))
-        self.error = error
 
 
 class JournalCheck:

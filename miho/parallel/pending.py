@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from miho.parallel.journal import Key
-from miho.parallel.remote import Answer
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
-
-class NoWorkersLeft(BaseException):
-    """No worker can evaluate anything any more; the message gives the reason in one line.
-
-    It is not an Exception, because methods may treat an Exception as a rejected evaluation.
-    """
+    from miho.parallel.journal import Key
+    from miho.parallel.remote import Answer
 
 
 @dataclass

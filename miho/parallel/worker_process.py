@@ -25,8 +25,6 @@ Reply = tuple[Result | None, str | None, str | None]
 
 INTERRUPTED = "interrupted"
 """The reason of an interrupted job."""
-SPURIOUS_INTERRUPT = "KeyboardInterrupt, though nobody interrupted it"
-"""The reason of a run or a job whose code raises KeyboardInterrupt itself."""
 POLL = 0.02
 """Seconds between two checks of a job's process, on systems that cannot signal its end."""
 

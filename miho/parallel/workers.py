@@ -18,11 +18,11 @@ from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any, Generic
 
+from miho.parallel.errors import SPURIOUS_INTERRUPT
 from miho.parallel.processes import end_family
 from miho.parallel.watch import Watch
 from miho.parallel.worker_process import (
     INTERRUPTED,
-    SPURIOUS_INTERRUPT,
     Job,
     Result,
     exit_reason,
