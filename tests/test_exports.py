@@ -27,6 +27,8 @@ HEAVY = [
 UNUSED = (
     "baselines",
     "miho.analysis",
+    "miho.compiled.gauss_newton_parts",
+    "miho.compiled.triangular",
     "miho.optim.asynchronous_miho_gn",
     "miho.optim.miho_qn",
     "miho.parallel.journal",

@@ -12,10 +12,9 @@ import math
 
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
-    COPY,
-    COPY_LOSS,
     DONE,
     ENTER,
+    INSIDE,
     READY,
     RECORD,
     SLOPES,
@@ -25,6 +24,7 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     GNRules,
     Minima,
+    square_distance,
 )
 from miho.compiled.triangular import fold, norm, solve_in_box
 from miho.compiled.workspace import CHUNK, Work, clear, copy
@@ -56,8 +56,6 @@ RESTART_DAMPING = 1e-6
 """Smallest damping after a failed step."""
 SMALLEST_SCALE = 1e-10
 """Smallest scale relative to the largest, for parameters without effect on the residuals."""
-INSIDE = 1e-12
-"""A linear parameter closer to a bound than this share of the width is at the bound."""
 
 
 def to_units(x: Array, box: GNBox, theta: Array) -> None:
@@ -306,18 +304,6 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
     c.stage[i] = TRIED if differs else DONE
 
 
-def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
-    """|R (x_i - x)|^2: the change of a candidate's linear model from x_i to x (d,)."""
-    n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
-    for row in range(n):
-        value = 0.0
-        for k in range(row, n):
-            at = box.nonlinear[k] if c.projects[i] else k
-            value += c.R[i, row, k] * (c.x[i, at] - x[at])
-        total += value * value
-    return total
-
-
 def nears_known_minimum(
     c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules
 ) -> bool:
@@ -407,12 +393,3 @@ def after_evaluation(
             c.stage[i] = RECORD
     elif c.loss[i] < previous:
         copy(w.sums, c.sums[i])
-
-
-def is_copy(c: GNCandidates, i: int, j: int, box: GNBox) -> bool:
-    """Whether candidate j, the worse of two, is a copy of i as far as the rows show."""
-    modelled = c.stage[i] == READY or c.stage[i] == DONE
-    close = c.loss[j] - c.loss[i] <= COPY_LOSS * c.loss[i]
-    if not (modelled and close):
-        return False
-    return bool(square_distance(c, i, c.x[j], box) <= COPY * c.x.shape[1] * c.loss[i])

@@ -10,14 +10,16 @@ import math
 
 import numpy as np
 
-from miho.compiled.gauss_newton import is_copy
 from miho.compiled.gauss_newton_candidates import (
     ACTIVE,
     AT_KNOWN,
+    COPY,
+    COPY_LOSS,
     DONE,
     ENTER,
     LEVEL,
     PHASE,
+    READY,
     SIZE,
     STORED,
     UNUSABLE,
@@ -26,6 +28,7 @@ from miho.compiled.gauss_newton_candidates import (
     GNRules,
     GNSettings,
     Minima,
+    square_distance,
 )
 from miho.compiled.phases import (
     EMPTY,
@@ -239,6 +242,15 @@ def prune(
     entering = level < level_rows.size - 1
     place[LEVEL] += entering
     return begin_rung(c, place, box, level_rows, settings, entering)
+
+
+def is_copy(c: GNCandidates, i: int, j: int, box: GNBox) -> bool:
+    """Whether candidate j, the worse of two, is a copy of i as far as the rows show."""
+    modelled = c.stage[i] == READY or c.stage[i] == DONE
+    close = c.loss[j] - c.loss[i] <= COPY_LOSS * c.loss[i]
+    if not (modelled and close):
+        return False
+    return bool(square_distance(c, i, c.x[j], box) <= COPY * c.x.shape[1] * c.loss[i])
 
 
 def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:

@@ -25,6 +25,8 @@ candidates, which come first; the number that make steps; the number of rows wit
 COPY, COPY_LOSS = 0.5, 0.05
 """A candidate is a copy of a better one within this squared distance, in units of d / rows of the
 loss, if their losses differ by less than this share."""
+INSIDE = 1e-12
+"""A linear parameter closer to a bound than this share of the width is at the bound."""
 
 
 class GNCandidates(NamedTuple):
@@ -259,3 +261,15 @@ class GNRules(NamedTuple):
     better: float
     ending: bool
     rounding: float
+
+
+def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
+    """|R (x_i - x)|^2: the change of a candidate's linear model from x_i to x (d,)."""
+    n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
+    for row in range(n):
+        value = 0.0
+        for k in range(row, n):
+            at = box.nonlinear[k] if c.projects[i] else k
+            value += c.R[i, row, k] * (c.x[i, at] - x[at])
+        total += value * value
+    return total

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import NamedTuple
 
+from miho.compiled.workspace import SolverScratch
 from miho.quantities import Array
 
 SINGULAR = 1e-14
@@ -42,18 +42,6 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
         products = (first * T[k, k + 1 : n] + others @ v) * (2.0 / (first * first + square))
         T[k, k + 1 : n] -= products * first
         others -= products[:, None] * v
-
-
-class SolverScratch(NamedTuple):
-    """Work arrays of `solve_in_box`, for at most d parameters.
-
-    free (d,): 1, 0 or DEPENDENT; solution (d,); columns (d + 1, 2 d); T (d + 1, d + 1).
-    """
-
-    free: Array
-    solution: Array
-    columns: Array
-    T: Array
 
 
 def solve_in_box(

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from miho.compiled.triangular import SolverScratch
 from miho.quantities import Array
 
 CHUNK = 512
 """Rows per chunk; their derivatives stay in the first-level cache."""
+
+
+class SolverScratch(NamedTuple):
+    """Work arrays of `miho.compiled.triangular.solve_in_box`, for at most d parameters.
+
+    free (d,): 1, 0 or DEPENDENT; solution (d,); columns (d + 1, 2 d); T (d + 1, d + 1).
+    """
+
+    free: Array
+    solution: Array
+    columns: Array
+    T: Array
 
 
 class Work(NamedTuple):

@@ -1,4 +1,4 @@
-"""Brackets of Gauss-Newton descents, on the machine or evaluation by evaluation."""
+"""Brackets of Gauss-Newton descents, evaluation by evaluation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from miho.compiled import Block
 from miho.compiled.gauss_newton import is_free
 from miho.compiled.gauss_newton_bracket import rules_of
 from miho.compiled.gauss_newton_candidates import (
@@ -22,7 +21,6 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     GNRules,
 )
-from miho.compiled.gauss_newton_machine import FINISHED, bracket_of
 from miho.compiled.gauss_newton_parts import (
     after_evaluations,
     after_one_evaluation,
@@ -32,78 +30,14 @@ from miho.compiled.gauss_newton_parts import (
     next_to_evaluate,
     solve_columns,
 )
-from miho.compiled.kernel import INFINITE, NAN, Rows
-from miho.compiled.workspace import CHUNK, Work, room_for, work
+from miho.compiled.workspace import Work, room_for, work
 from miho.optim.meter import BudgetExhausted, UnusableValueError
-from miho.optim.miho_gn_state import Blocks, MIHOGNState
+from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle
 from miho.quantities import Array, Integers
 
 if TYPE_CHECKING:
     from miho.parallel.pending import Ahead
-
-EVENTS = 1024
-"""Evaluations of all rows in one block, at most; each may be an improvement, which needs room."""
-
-
-def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
-    """Run a bracket to its end, on the machine if possible; continues an interrupted bracket.
-
-    Raises as the oracle does at the end of the budget.
-    """
-    # Without the machine, the problem makes each evaluation.
-    kernel = oracle.kernel
-    rows = None if kernel is None else kernel.rows
-    c, level_rows = state.candidates, state.level_rows
-    if rows is None:
-        for _ in rounds(oracle, state):
-            pass
-        return
-    if state.blocks is None or state.blocks.rows is not rows:
-        state.blocks = blocks_on(rows, state)
-    N, least = rows.y.size, state.blocks.least
-    _, run, _, at, losses, thetas, room = state.blocks
-
-    # The oracle limits the evaluations of a block, and records them.
-    def block(most: float, best: float, target: float) -> Block:
-        limit = round(min(most, max(EVENTS, least)) * N)  # a whole number of rows, up to rounding
-        tally = np.zeros(5, np.int64)
-        ended = run(
-            *c[:3], state.stored, state.place, state.order, state.box,
-            level_rows, state.minima, state.settings, limit, best, target, at, losses, thetas,
-            tally, room,
-        )  # fmt: skip
-        spent, k, nans, infinities, unusable = tally.tolist()
-        counts = {
-            NAN: nans,
-            INFINITE: infinities,
-            "derivative is not finite": unusable,
-        }
-        looked_at = None
-        if best == math.inf and not k:
-            thetas_here = state.space.decode(state.box.origin + state.box.width * c.x)
-            looked_at = state.rows / N, c.loss, thetas_here
-        return Block(
-            spent / N,
-            at[:k] / N,
-            losses[:k],
-            thetas[:k],
-            counts,
-            ended == FINISHED,
-            looked_at,
-        )
-
-    oracle.spend(block, least)
-
-
-def blocks_on(rows: Rows, state: MIHOGNState) -> Blocks:
-    """Data shared by all blocks of a search on these rows."""
-    d, levels, slope_cost = state.d, state.level_rows, state.settings.slope_cost
-    stored = [m for m in levels.tolist() if (d + 1) * m <= state.settings.room]
-    room = np.empty(room_for(d, max([CHUNK, *stored]), levels.size))
-    least = float(max(state.box.linear.size + 1, slope_cost))
-    at, losses, thetas = np.empty(EVENTS, np.int64), np.empty(EVENTS), np.empty((EVENTS, d))
-    return Blocks(rows, bracket_of(rows), least, at, losses, thetas, room)
 
 
 class Round(NamedTuple):

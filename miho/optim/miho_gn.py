@@ -21,7 +21,7 @@ from miho.compiled.gauss_newton_candidates import (
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
 from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
-from miho.optim.gauss_newton_steps import run_phases
+from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState, at_bound, box_of, square_distances

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton import INSIDE
 from miho.compiled.gauss_newton_candidates import (
+    INSIDE,
     LEVEL,
     PHASE,
     GNBox,

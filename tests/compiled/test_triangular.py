@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from miho.compiled.triangular import SolverScratch, fold, solve_in_box, square_sum
+from miho.compiled.triangular import fold, solve_in_box, square_sum
+from miho.compiled.workspace import SolverScratch
 
 Array = NDArray[np.float64]
 

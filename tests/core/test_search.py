@@ -33,7 +33,7 @@ from miho.optim import (
     BudgetExhausted,
     LeastSquaresProblem,
     Oracle,
-    gauss_newton_steps,
+    gauss_newton_blocks,
 )
 from miho.optim.miho_gn_state import MIHOGNState
 from tests.optim.decays import fit
@@ -85,7 +85,7 @@ def python_steps(sums: bool = True) -> Iterator[None]:
     functions = {name: getattr(math, name) for name in ("sqrt", "isfinite", "inf")}
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
         by_python = partial(partial, python_bracket.run_bracket)
-        patch.setattr(gauss_newton_steps, "bracket_of", by_python)
+        patch.setattr(gauss_newton_blocks, "bracket_of", by_python)
         if sums:
             exact = SimpleNamespace(exp=by_machine("EXP"), log=by_machine("LOG"), **functions)
             patch.setattr(gauss_newton, "math", exact)
@@ -321,7 +321,7 @@ def a_call() -> dict[str, Any]:
         raise BudgetExhausted
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("miho.optim.gauss_newton_steps.bracket_of", lambda rows: bracket)
+        patch.setattr("miho.optim.gauss_newton_blocks.bracket_of", lambda rows: bracket)
         searched(problem, MIHOGN(), 0, 100)
     assert problem.kernel is not None
     rows = problem.kernel.rows

@@ -30,7 +30,7 @@ from miho.optim import (
     Problem,
     RunRecord,
     Space,
-    gauss_newton_steps,
+    gauss_newton_blocks,
     minimize,
 )
 from miho.optim.miho_gn_state import box_of, square_distances
@@ -412,7 +412,7 @@ def test_an_answer_at_a_billionth_of_its_range_is_at_no_bound() -> None:
 def test_derivatives_that_cost_more_than_a_block_end_no_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(gauss_newton_steps, "EVENTS", 2)
+    monkeypatch.setattr(gauss_newton_blocks, "EVENTS", 2)
     assert minimize(MIHOGN(), fit(), Budget()).outcome is Outcome.CONVERGED
 
 
