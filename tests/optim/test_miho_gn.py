@@ -132,7 +132,7 @@ def test_a_return_is_to_the_minimum_that_is_near_in_the_metric_of_the_residuals(
 
 def test_sums_of_a_minimum_are_of_the_rows_of_each_level() -> None:
     """Of a problem that is not compiled, whose fidelity takes the rows in another order."""
-    problem = replace(fit(), rho=Huber(1.0))
+    problem = replace(fit(), rho=Huber(1.0), compiled=False)
     assert problem.kernel is None
     record = minimize(MIHOGN(), problem, seed=0)
     assert record.checkpoint is not None
