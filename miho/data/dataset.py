@@ -9,13 +9,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.data.preview import Reading
 from miho.quantities import Array
 from miho.validate import whole
+
+if TYPE_CHECKING:
+    from miho.data.preview import Reading
 
 
 def file_name(path: str | os.PathLike[str]) -> str:

@@ -16,11 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.models.function_model import FunctionFormula, FunctionModel, alike
-from miho.models.joint import JointExpression, JointModel
+from miho.models.function_model import FunctionFormula, alike
 from miho.models.leaves import dear_leaves
 from miho.models.model import Model
-from miho.models.tied import Tied, TiedModel
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
@@ -41,7 +39,7 @@ def by_calls(
     Values at parameter rows (n, d) are compared; at the first row only for a slow function. The
     result is None too if evaluations may not be repeated.
     """
-    called = _called(problem.model)
+    called = problem.model.with_numbers()
     if called is problem.model or _is_final(problem, evaluations):
         return None
     model, inputs = problem.model, problem.inputs
@@ -97,24 +95,6 @@ def _is_final(problem: CurveFit, evaluations: Evaluations | None) -> bool:
     return (
         evaluations is not None and not evaluations.may_repeat and bool(dear_leaves(problem.model))
     )
-
-
-def _called(model: Model) -> Model:
-    """The model with functions called with numbers; the same object if nothing changes."""
-    if isinstance(model, FunctionFormula):
-        return model.function.by_numbers
-    if isinstance(model, FunctionModel):
-        automatic = model.batched is None and model.tried.batched
-        return replace(model, tried=model.tried._replace(batched=False)) if automatic else model
-    if isinstance(model, Tied):
-        called = _called(model.model)
-        return model if called is model.model else TiedModel(called, model.ties)
-    joint = model.joint if isinstance(model, JointExpression) else model
-    if isinstance(joint, JointModel):
-        parts = tuple(part._replace(model=_called(part.model)) for part in joint.parts)
-        pairs = zip(parts, joint.parts, strict=True)
-        return model if all(new.model is old.model for new, old in pairs) else JointModel(parts)
-    return model
 
 
 def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...]) -> bool:

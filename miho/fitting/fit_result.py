@@ -16,28 +16,8 @@ import numpy as np
 
 from miho.fitting.protocols import Signed, Writable
 from miho.fitting.statement import inputs_of
-from miho.identification.alternatives import (
-    hull,
-    minima_at,
-    optima_table,
-    optima_within_noise,
-    several_values,
-)
 from miho.identification.curve_fit import CurveFit
-from miho.identification.printed import wrapped
 from miho.identification.refit import Refit
-from miho.identification.standing import Standing
-from miho.identification.stated import (
-    at_limits,
-    marked,
-    reported_space,
-    reported_uncertainty,
-    stated_parameters,
-    whole_values,
-)
-from miho.identification.uncertainty import Linearised, alike_beside_priors, linearised
-from miho.models.joint import rows_of_parts
-from miho.models.tied import whole_model
 from miho.models.traced import Remade
 from miho.optim import Descents, Minimum, in_optimum
 from miho.parallel.worth import is_dear
@@ -48,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from miho.identification.report import Report
+    from miho.identification.standing import Standing
+    from miho.identification.uncertainty import Linearised
 
 SAME = 1e-9
 """Relative difference of two errors, in terms of the largest output, up to which the model is
@@ -151,11 +133,16 @@ class Fit(Remade):
 
         Raises ValueError if there are no more rows than parameters.
         """
+        from miho.identification.uncertainty import linearised
+
         return linearised(self.problem, self.theta, neighbours=True)
 
     @cached_property
     def _optima(self) -> tuple[Linearised, ...]:
         """Uncertainties at all optima within the noise, this optimum first."""
+        from miho.identification.uncertainty import linearised
+        from miho.identification.within_noise import optima_within_noise
+
         here = self.uncertainty
         minima = self.minima + (() if self.descents is None else self.descents.minima)
         if not minima:
@@ -185,6 +172,8 @@ class Fit(Remade):
         ValueError
             If there are no more rows than parameters.
         """
+        from miho.identification.alternatives import optima_table
+
         return optima_table(self.problem, self._optima)
 
     @cached_property
@@ -201,11 +190,13 @@ class Fit(Remade):
         """
         import pandas as pd
 
+        from miho.identification.alternatives import hull
+        from miho.identification.stated import stated_parameters
+
         try:
             optima = self._optima
         except ValueError:  # as many parameters as rows: values without errors
-            values = whole_values(self.problem, self.theta)
-            frame = pd.DataFrame({"value": values})
+            frame = pd.DataFrame({"value": self.values})
             return frame.assign(standard_error=math.nan, low=math.nan, high=math.nan)
         tables, ends = [], []
         for at in optima:
@@ -225,6 +216,8 @@ class Fit(Remade):
     @property
     def values(self) -> dict[str, float]:
         """Values of all parameters by name, in their units."""
+        from miho.identification.stated import whole_values
+
         return whole_values(self.problem, self.theta)
 
     @cached_property
@@ -235,6 +228,8 @@ class Fit(Remade):
     @property
     def optimum(self) -> str:
         """The evidence that this is the global optimum, or the reason for doubt, in sentences."""
+        from miho.identification.stated import at_limits
+
         limits = (f"{limit}." for limit in at_limits(self.problem, self.theta))
         return " ".join([self._standing.statement, *limits])
 
@@ -263,8 +258,10 @@ class Fit(Remade):
         They name parameters at a bound or not identifiable, optima that the data cannot
         distinguish, and an uncertain optimum. `notes` has all remarks, and takes longer.
         """
+        from miho.identification.alternatives import several_values
         from miho.identification.flags import doubtful, ended_at_bounds, held_at_bounds, unseen
         from miho.identification.report import REMEDY
+        from miho.identification.stated import reported_space, reported_uncertainty
 
         stand = self._standing
         sentences = doubtful(stand.doubt, REMEDY) if stand.doubt else []
@@ -309,6 +306,8 @@ class Fit(Remade):
         case the other optima within the noise stay the same and are not searched again.
         """
         if not np.array_equal(report.at.theta, self.theta):
+            from miho.identification.alternatives import minima_at
+
             before, after = self.problem.loss(np.stack([self.theta, report.at.theta]))
             known = in_optimum(after, before, self.problem.resolution) and "_optima" in vars(self)
             others = self._optima[1:] if known else ()
@@ -347,7 +346,7 @@ class Fit(Remade):
             If most Fz of a tire are negative.
         """
         inputs = inputs_of(self.problem.model, x)
-        model = whole_model(self.problem.model)
+        model = self.problem.model.whole
         if isinstance(model, Signed):
             model.check_signs(inputs)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
@@ -359,7 +358,7 @@ class Fit(Remade):
 
         Raises TypeError if the model is not a tire.
         """
-        model = whole_model(self.problem.model)
+        model = self.problem.model.whole
         if not isinstance(model, Writable):
             raise TypeError("only a fit of a tire can be written as a property file")
         model.write(self.values, path)
@@ -388,6 +387,7 @@ class Fit(Remade):
         With several inputs the figure shows measured over predicted values.
         """
         from miho.figures.report import Column, curve_band, fit_figure
+        from miho.models.joint import rows_of_parts
 
         dataset, inputs = self.problem.dataset, self.problem.model.inputs
         parts = rows_of_parts(self.problem.model, self.problem.inputs)
@@ -403,11 +403,16 @@ class Fit(Remade):
 
     def __str__(self) -> str:
         """The parameters, the error, the evidence for the optimum, and the caveats."""
+        from miho.identification.printed import wrapped
+
         table, lines = self._printed()
         return "\n".join([table, *map(wrapped, lines)])
 
     def _printed(self) -> tuple[str, list[str]]:
         """The table of parameters as text, and the lines below it, of any length."""
+        from miho.identification.stated import at_limits, marked
+        from miho.identification.uncertainty import alike_beside_priors
+
         table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()

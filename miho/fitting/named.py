@@ -8,7 +8,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-import miho.methods
 from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.optim import Budget, Optimizer
 
@@ -50,6 +49,8 @@ def method_of(method: object) -> Optimizer:
         choices = _choices(method, METHODS)
         expected = f"a method, for example miho.methods.LeastSquares(), or {choices}"
         raise ValueError(f"method is {method!r}; expected {expected}")
+    import miho.methods
+
     named: Optimizer = getattr(miho.methods, METHODS[method])()
     return named
 

@@ -19,21 +19,16 @@ from miho.fitting.dear_fit import (
     title,
 )
 from miho.fitting.fit_result import Fit
-from miho.fitting.known_start import best_known, check_start
 from miho.fitting.named import check_budget, loss_of, method_of
 from miho.fitting.protocols import Template, model_of_file
 from miho.fitting.search import searched
 from miho.fitting.statement import DENSE, check_named, data_of, space_of
-from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import ties_of
 from miho.identification.loss import Loss
 from miho.identification.refit import refit
-from miho.identification.uncertainty import linearised
 from miho.models.model import Model
-from miho.models.tied import Tied, whole_model
 from miho.optim import Budget, Optimizer, Space
-from miho.optim.gauss_newton_descent import descended as descended_by_machine
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -182,6 +177,8 @@ def fit(
     check_budget(budget)
     from_journal = isinstance(start, str)
     if isinstance(start, str):
+        from miho.fitting.known_start import check_start
+
         check_start(start, journal)
         start = None
     check_named(start=start, fixed=fixed, tied=tied)
@@ -198,19 +195,21 @@ def fit(
     known = None if sigma is None or not sigma_known else sigma
     rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     stated = chosen, space, start, fixed or {}, tied or {}
-    sought = space_of(*stated)
-    bounds = constrained(sought, constraints)
-    own = sought
-    if bounds.radial is not None:
-        sought = space_of(*stated, reach=DENSE)
+    own = sought = bounds = space_of(*stated)
+    if constraints or not isinstance(constraints, tuple):
+        from miho.identification.constraints import constrained, free_values
+
         bounds = constrained(sought, constraints)
-    if constraints and start is not None:  # a bad start is reported before the model is called
-        free_values(bounds.free, ties_of(chosen, bounds), start)
+        if bounds.radial is not None:
+            sought = space_of(*stated, reach=DENSE)
+            bounds = constrained(sought, constraints)
+        if start is not None:  # a bad start is reported before the model is called
+            free_values(bounds.free, ties_of(chosen, bounds), start)
 
     first: CurveFit | None = None  # its model has been examined
 
     def problem_of(bounds: Space, prior_scale: float | None = None, dear: bool = True) -> CurveFit:
-        known = chosen if first is None else whole_model(first.model)
+        known = chosen if first is None else first.model.whole
         return CurveFit(
             known, dataset, bounds, rho, sigma=sigma, sigma_known=sigma_known,
             compiled=compiled, prior_scale=prior_scale, dear=dear,
@@ -224,6 +223,8 @@ def fit(
 
         def solved(problem: CurveFit) -> Fit:
             if from_journal:
+                from miho.fitting.known_start import best_known
+
                 return descended(problem, best_known(spread(problem, evaluations)), evaluations)
             if start is None:
                 return searched(problem, method, budget, seed, evaluations)
@@ -268,6 +269,7 @@ def settled(
     ----------
     .. [1] H. Theil, A. S. Goldberger, International Economic Review 2 (1961) 65-78.
     """
+    from miho.identification.uncertainty import linearised
 
     def noise(fit: Fit) -> float:
         at = linearised(spread(fit.problem, evaluations), fit.theta)
@@ -301,10 +303,14 @@ def descended(
     """Fit at the end of one descent from a start of every free parameter."""
     model = problem.model
     theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
-    if isinstance(model, Tied):
+    if model.ties is not None:
+        from miho.identification.constraints import free_values
+
         theta = free_values(problem.space, model.ties, start)
     rows = problem.machine_rows
     if rows is not None:
+        from miho.optim.gauss_newton_descent import descended as descended_by_machine
+
         theta = _better(problem, descended_by_machine(rows, problem.space, theta), theta)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):

@@ -12,9 +12,9 @@ from miho.fitting.confirmed import by_calls, check_repeats, compared_at
 from miho.fitting.dear_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
 from miho.fitting.named import check_budget, method_of
-from miho.identification.alternatives import optima_within_noise
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit, refit
+from miho.identification.within_noise import optima_within_noise
 from miho.optim import (
     MIHOGN,
     Budget,

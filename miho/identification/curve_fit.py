@@ -22,19 +22,14 @@ from miho.identification.curve_fit_checks import (
     ties_of,
     with_defaults,
 )
-from miho.identification.irreducible import irreducible_square
 from miho.identification.loss import Loss, Square, slope
-from miho.identification.prior import PriorResiduals
 from miho.identification.residual_formula import ResidualFormula, residual_formula
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.leaves import called, dear_leaves, description, spread, tried_calls
 from miho.models.model import Model
-from miho.models.symbolic import arguments_of
-from miho.models.tied import Tied, tie
 from miho.models.traced import Remade, TracedExpression
-from miho.models.weighted import weighted
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Parameter, Space
@@ -44,6 +39,7 @@ if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
     from miho.compiled.kernel import Rows
     from miho.compiled.taped import TapedLoss
+    from miho.identification.prior import PriorResiduals
     from miho.parallel import Evaluations
 
 FRACTION = 1e-12
@@ -145,6 +141,8 @@ class CurveFit(Remade, LeastSquaresProblem):
         if isinstance(model, FunctionModel):
             model = examined(model, self.dataset, self.space, dear)
         if self.space.free is not self.space:
+            from miho.models.tied import tie
+
             model = tie(model, ties_of(model, self.space))
             tied = tuple(p for p in self.space.parameters if p.tied and p.prior is not None)
             object.__setattr__(self, "tied_priors", tied)
@@ -173,6 +171,8 @@ class CurveFit(Remade, LeastSquaresProblem):
             return ()
         bent = {p.name for p in self.space.parameters if p.prior and p.scale == "log"}
         if self.tied_priors and self.prior is not None:  # parameters that tied priors depend on
+            from miho.models.symbolic import arguments_of
+
             places = arguments_of(self.prior.tied_graphs)
             bent |= {name for k, name in enumerate(self.space.names) if f"p{k}" in places}
         return tuple(name for name in self.model.linear if name not in bent)
@@ -192,6 +192,8 @@ class CurveFit(Remade, LeastSquaresProblem):
             return math.inf
         if self.weights is not None or self.prior is not None:
             return math.inf  # the scatter of neighbouring rows differs, or priors add to the loss
+        from miho.identification.irreducible import irreducible_square
+
         return irreducible_square(self.inputs, self._output)
 
     @property
@@ -243,7 +245,11 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def _fitted(self) -> Model:
         """The model of the weighted output `_target`, a function of `_columns`."""
-        return self.model if self.weights is None else weighted(self.model)
+        if self.weights is None:
+            return self.model
+        from miho.models.weighted import weighted
+
+        return weighted(self.model)
 
     @cached_property
     def _columns(self) -> tuple[Array, ...]:
@@ -312,9 +318,10 @@ class CurveFit(Remade, LeastSquaresProblem):
         free = any(parameter.prior is not None for parameter in self.space.parameters)
         if not free and not self.tied_priors:
             return None
-        ties = self.model.ties if isinstance(self.model, Tied) else None
+        from miho.identification.prior import PriorResiduals
+
         scale = self.prior_scale or self.scale or 1.0
-        return PriorResiduals(self.space, scale, self.tied_priors, ties)
+        return PriorResiduals(self.space, scale, self.tied_priors, self.model.ties)
 
     @property
     def residual_count(self) -> int:

@@ -19,14 +19,13 @@ from miho.models.function_model import FunctionFormula, FunctionModel
 from miho.models.leaves import dear_leaves
 from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.models.plain_arithmetic import is_arithmetic
-from miho.models.symbolic import arguments_of
-from miho.models.tied import Ties, whole_model
 from miho.optim.space import Parameter, Space
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
+    from miho.models.tied import Ties
 
 TRIALS = 5
 """Number of trial configurations of a new problem."""
@@ -119,7 +118,7 @@ def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
     shapes = {
         "predict": (model.predict(np.stack([theta, theta]), *problem.inputs).shape, (2, rows))
     }
-    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # else by differences
+    if not isinstance(model.whole, DifferencedModel | ExternalModel):  # else by differences
         J = model.jacobian(theta, *problem.inputs)
         shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():
@@ -248,6 +247,9 @@ def ties_of(model: Model, space: Space) -> Ties:
     Raises ValueError for a space that lacks a parameter of the model, has one without an effect,
     has other units, or has no configuration with all tied parameters within their limits.
     """
+    from miho.models.symbolic import arguments_of
+    from miho.models.tied import Ties
+
     name = model.name or type(model).__name__
     parameters = {parameter.name: parameter for parameter in space.parameters}
     if [p for p in parameters if p in model.parameters] != list(model.parameters):

@@ -16,7 +16,6 @@ from miho.identification.stated import stated_parameters
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.identified import Identified, Value
 from miho.models.model import Model
-from miho.models.tied import whole_model
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -106,7 +105,7 @@ def _whole(
 
     Tied parameters get linearised intervals; fixed parameters have standard error 0.
     """
-    model = whole_model(problem.model)
+    model = problem.model.whole
     if model is problem.model:
         return model, dict(free), at.correlation
     stated, slopes = stated_parameters(problem, at)

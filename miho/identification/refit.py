@@ -6,14 +6,16 @@ import math
 import time
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.limits import Pin, along_limits, along_sides
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.identification.limits import Pin
 
 EVALUATIONS = 200
 """Default limit on evaluations of the residuals: enough for a start near the optimum."""
@@ -128,9 +130,13 @@ def refit(
     objective = _Objective(problem, start, weights, fixed, deadline, pin)
     start_values = objective.residuals(objective.first)
     if not math.isfinite(objective.costs[-1]):  # beyond a limit, or the model fails
-        theta = along_limits(problem, objective.best, fixed, pin)
-        if weights is not None or theta is objective.best:
-            return Refit(objective.best, math.inf, converged=False)
+        theta = objective.best
+        if weights is None and problem.model.ties is not None:
+            from miho.identification.limits import along_limits
+
+            theta = along_limits(problem, theta, fixed, pin)
+        if theta is objective.best:
+            return Refit(theta, math.inf, converged=False)
         return Refit(theta, objective.cost(theta))
     if not objective.first.size or objective.costs[-1] == 0:
         return Refit(objective.best, objective.costs[-1])
@@ -196,7 +202,9 @@ def _limited(
     """The end of the descent, moved along the limits of tied parameters."""
     costs = objective.costs
     end = Refit(objective.best, costs[-1], converged, len(costs) - 1)
-    if weights is None:
+    if weights is None and problem.model.ties is not None:
+        from miho.identification.limits import along_limits, along_sides
+
         theta = along_limits(problem, end.theta, fixed, pin)
         theta = theta if fixed or pin else along_sides(problem, theta)
         if theta is not end.theta:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from miho.identification.alternatives import minima_at, optima_within_noise
+from miho.identification.alternatives import minima_at
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
@@ -37,6 +37,7 @@ from miho.identification.stated import (
 )
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import conditions, leave_one_out, root_mean_square
+from miho.identification.within_noise import optima_within_noise
 from miho.optim import Descents, Minimum, in_optimum
 from miho.optim.seeds import stream
 from miho.parallel import Pool, Workers, open_pool

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from miho.identification.loss import Cauchy, Huber, Loss, Square
-from miho.identification.prior import PriorResiduals
 from miho.models.expression import Expression
 from miho.models.model import Model
-from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
-from miho.models.traced import TracedExpression
-from miho.models.weighted import WithInput
+from miho.models.symbolic import NotAFormulaError
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.identification.prior import PriorResiduals
 
 
 class ResidualFormula(NamedTuple):
@@ -39,12 +37,16 @@ def residual_formula(
         return None
     formula = ResidualFormula(model, columns, target)
     if isinstance(rho, Huber | Cauchy):
+        from miho.identification.residual_expressions import RobustExpression
+
         formula = ResidualFormula(
             RobustExpression(model, rho), (*columns, target), np.zeros(target.size)
         )
     elif not isinstance(rho, Square):
         return None
     if prior is not None:
+        from miho.identification.residual_expressions import PriorExpression
+
         rows, P = target.size, len(prior.parameters)
         padded = [np.append(column, np.repeat(column[:1], P)) for column in formula.columns]
         row = np.append(np.zeros(rows), np.arange(1.0, P + 1))
@@ -57,40 +59,3 @@ def residual_formula(
         _ = formula.model.value
         return formula
     return None
-
-
-@dataclass(frozen=True)
-class RobustExpression(WithInput, TracedExpression):
-    """Transformed residuals of an expression, whose last input is the measured output."""
-
-    model: Expression
-    rho: Huber | Cauchy
-    added: ClassVar[str] = "measured output"
-
-    @cached_property
-    def graph(self) -> Symbol:
-        """Graph of the transformed residual; raises NotAFormulaError if it cannot be traced."""
-        output = trace(self.model.value, self.columns[:-1], self.arguments)
-        return trace(self.rho.transform, operation("subtract", output, self.columns[-1]))
-
-
-@dataclass(frozen=True)
-class PriorExpression(WithInput, TracedExpression):
-    """An expression with rows for priors: the last input is 0 for data, and k for the k-th prior.
-
-    A row of a prior has the prior's residual.
-    """
-
-    model: Expression
-    prior: PriorResiduals
-    added: ClassVar[str] = "number of the prior"
-
-    @cached_property
-    def graph(self) -> Symbol:
-        """Graph of the output; raises NotAFormulaError if it cannot be traced."""
-        row, output = self.columns[-1], trace(self.model.value, self.columns[:-1], self.arguments)
-        total: Any = np.where(row == 0, output, 0.0)
-        for k, residual in enumerate(self.prior.formulas(self.arguments), start=1):
-            total = total + np.where(row == k, residual, 0.0)
-        graph: Symbol = total
-        return graph

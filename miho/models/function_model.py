@@ -163,6 +163,11 @@ class FunctionModel(DifferencedModel):
         own = (self.function, self.batched, self.linear, self.source, self.columns)
         return FunctionModel, (*own, self.rowwise, self.tried)
 
+    def with_numbers(self) -> FunctionModel:
+        """Return the model with the function called with numbers, if it accepts arrays as well."""
+        automatic = self.batched is None and self.tried.batched
+        return replace(self, tried=self.tried._replace(batched=False)) if automatic else self
+
     @cached_property
     def by_numbers(self) -> FunctionModel:
         """The same function, called with one row of parameters at a time, as numbers."""
@@ -326,6 +331,10 @@ class FunctionFormula(TracedExpression):
     """
 
     function: FunctionModel
+
+    def with_numbers(self) -> FunctionModel:
+        """Return the function itself, called with numbers."""
+        return self.function.by_numbers
 
     def agreed(self, thetas: Array, compare: Callable[[], bool]) -> bool:
         """Return whether function and formula agree at parameter rows (n, d).

@@ -16,7 +16,6 @@ from miho.models.expression import Expression
 from miho.models.layout import OUTPUT
 from miho.models.model import Model
 from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
-from miho.models.tied import whole_model
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
 
@@ -64,6 +63,12 @@ class JointModel(Model):
         return JointModel(
             tuple(part._replace(model=part.model.with_leaves(wrap)) for part in self.parts)
         )
+
+    def with_numbers(self) -> Model:
+        """Return the joint model of parts with functions called with numbers."""
+        parts = tuple(part._replace(model=part.model.with_numbers()) for part in self.parts)
+        pairs = zip(parts, self.parts, strict=True)
+        return self if all(new.model is old.model for new, old in pairs) else JointModel(parts)
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:
@@ -174,6 +179,11 @@ class JointExpression(TracedExpression):
         for key in ("inputs", "parameters", "output", "linear", "name"):
             object.__setattr__(self, key, getattr(self.joint, key))
 
+    def with_numbers(self) -> Model:
+        """Return the joint model of parts with functions called with numbers."""
+        called = self.joint.with_numbers()
+        return self if called is self.joint else called
+
     @cached_property
     def graph(self) -> Symbol:
         """Graph of the output; raises NotAFormulaError if the expression cannot be traced."""
@@ -206,7 +216,7 @@ def joined(model: JointModel) -> Model:
 
 def parts_of(model: Model) -> tuple[JointPart, ...]:
     """Return the parts of a joint model, which may be an expression or tied; () for others."""
-    whole = whole_model(model)
+    whole = model.whole
     whole = whole.joint if isinstance(whole, JointExpression) else whole
     return whole.parts if isinstance(whole, JointModel) else ()
 
@@ -219,7 +229,7 @@ def rows_of_parts(model: Model, inputs: Sequence[Array]) -> dict[str, NDArray[np
     columns = dict(zip(model.inputs, inputs, strict=True))
     names = [part.name for part in parts_of(model)]
     if not names and OUTPUT in columns:
-        outputs = getattr(whole_model(model), "outputs", ())
+        outputs = getattr(model.whole, "outputs", ())
         names = [getattr(output, "__name__", output) for output in outputs]
     index = columns.get(PART, columns.get(OUTPUT))
     return {} if index is None else {name: index == k for k, name in enumerate(names)}

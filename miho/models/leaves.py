@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from miho.models.fingerprint import fingerprint
 from miho.models.function_calls import UNTRIED, Calls
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
-from miho.models.spread import SpreadModel
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -43,6 +41,8 @@ def spread(
 
     `losses` maps outputs (n, N) to losses (n,). It is used only if the model has a single leaf.
     """
+    from miho.models.spread import SpreadModel
+
     count, of_leaf = itertools.count(), losses if len(dear_leaves(model)) == 1 else None
     return model.with_leaves(
         lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}", of_leaf)
@@ -70,6 +70,8 @@ def called(model: Model, calls: Iterable[Any]) -> Model:
 
 def description(model: Model, columns: Sequence[Array]) -> str:
     """Return digests of data columns and leaves, independent of the results of trial calls."""
+    from miho.models.fingerprint import fingerprint
+
     data = hashlib.sha256()
     for column in columns:
         data.update(np.ascontiguousarray(column).tobytes())

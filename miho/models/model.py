@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.models.derived import Derived
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.models.derived import Derived
+    from miho.models.tied import Ties
 
 SMALLEST = 1e-12
 Predict = Callable[..., Array]
@@ -51,6 +54,8 @@ class Model(ABC):
     jacobian_cost : int or None
         Cost of a Jacobian in rows of `predict`. None stands for the number of parameters, which is
         the cost of analytic derivatives.
+    ties : Ties or None
+        Expressions of the other parameters, if some are fixed or tied (`miho.models.tied`).
     derived : Mapping[str, tuple[str, Callable]]
         Reported quantities with intervals, by name: the unit, and a function that maps parameter
         rows (n, d) to values (n,).
@@ -79,10 +84,22 @@ class Model(ABC):
         @property
         def jacobian_cost(self) -> int | None: ...
         @property
+        def ties(self) -> Ties | None: ...
+        @property
         def derived(self) -> Mapping[str, tuple[str, Callable[[Array], Array]]]: ...
     else:
         linear, name, source, ordered, jacobian_cost = (), "", None, False, None
+        ties = None
         nominal = defaults = derived = MappingProxyType({})
+
+    @property
+    def whole(self) -> Model:
+        """The model of all parameters, which is another one if some are fixed or tied."""
+        return self
+
+    def with_numbers(self) -> Model:
+        """Return this model with functions called with numbers; itself if nothing changes."""
+        return self
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
         """Return this model with `wrap` applied to each component that may be expensive."""
@@ -136,6 +153,8 @@ class Model(ABC):
         tuple of Derived
             Quantities; by default the quantities in `derived`.
         """
+        from miho.models.derived import Derived
+
         declared = self.derived.items()
         return tuple(Derived(name, unit, values) for name, (unit, values) in declared)
 

@@ -250,16 +250,20 @@ def tie(model: Model, ties: Ties) -> Model:
     return TiedModel(model, ties)
 
 
-def whole_model(model: Model) -> Model:
-    """Return the model of all parameters under a tied model; any other model is returned as is."""
-    return model.model if isinstance(model, Tied) else model
-
-
 class _Tied(Remade, Model):
     """Properties that both kinds of tied models take from the model of all parameters."""
 
     model: Any
     ties: Ties
+
+    @property
+    def whole(self) -> Model:
+        return self.model  # type: ignore[no-any-return]
+
+    def with_numbers(self) -> Model:
+        """Return the tied model with functions called with numbers."""
+        called = self.model.with_numbers()
+        return self if called is self.model else TiedModel(called, self.ties)
 
     @property
     def inputs(self) -> Mapping[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # loads its packages at their first use; importing them here takes a second
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 
 from miho.optim.seeds import Part, stream
 from miho.quantities import Array
-from miho.radial_map import RadialMap
 from miho.validate import one_of
+
+if TYPE_CHECKING:
+    from miho.radial_map import RadialMap
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")

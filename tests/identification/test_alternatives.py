@@ -14,12 +14,12 @@ from miho.identification import CurveFit, linearised, make_report
 from miho.identification.alternatives import (
     hull,
     optima_table,
-    optima_within_noise,
     several_values,
 )
 from miho.identification.bootstrap import bootstrap
 from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import Refit, refit
+from miho.identification.within_noise import optima_within_noise
 from miho.optim import Descents, Minimum, Parameter, Space
 from miho.quantities import Array
 from miho.vehicle.models import Pacejka

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 import miho
 from miho.identification.parameters_file import identified
 from miho.models.model import central_differences
-from miho.models.tied import TiedModel, Ties, tie, whole_model
+from miho.models.tied import TiedModel, Ties, tie
 from miho.vehicle.models import Pacejka
 
 ALPHA = np.linspace(-0.2, 0.2, 21)
@@ -43,7 +43,7 @@ def test_a_tied_model_is_the_whole_one_at_tied_values(ties, linear: tuple[str, .
     assert tied.linear == linear
     by_numpy = TiedModel(model, tied.ties)  # type: ignore[attr-defined]
     np.testing.assert_allclose(by_numpy.jacobian(theta, ALPHA), J, rtol=1e-10)
-    assert whole_model(tied) is model
+    assert tied.whole is model
     copy = pickle.loads(pickle.dumps(tied))
     assert np.array_equal(copy.predict(theta[None], ALPHA), tied.predict(theta[None], ALPHA))
 

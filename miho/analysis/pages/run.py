@@ -34,7 +34,6 @@ from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text
 from miho.models.joint import PART, rows_of_parts
 from miho.models.layout import OUTPUT
-from miho.models.tied import whole_model
 from miho.study import StoredRun, write_bytes, write_text
 from miho.study.places import inside
 from miho.study.provenance import flattened, provenance
@@ -229,7 +228,7 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
     if stored is not None:
         by = f", identified by {stored.result['optimizer']}, seed {stored.result['seed']}"
     subtitle = (
-        f"{type(whole_model(problem.model)).__name__} on {problem.dataset.name}{by}: error "
+        f"{type(problem.model.whole).__name__} on {problem.dataset.name}{by}: error "
         f"{significant(report.error)} {problem.unit} (root mean square)."
     )
     full = [section for section in sections if _full(section)]

@@ -1,0 +1,53 @@
+"""Expressions of transformed residuals, and of the residuals of priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from miho.identification.loss import Cauchy, Huber
+from miho.identification.prior import PriorResiduals
+from miho.models.expression import Expression
+from miho.models.symbolic import Symbol, operation, trace
+from miho.models.traced import TracedExpression
+from miho.models.weighted import WithInput
+
+
+@dataclass(frozen=True)
+class RobustExpression(WithInput, TracedExpression):
+    """Transformed residuals of an expression, whose last input is the measured output."""
+
+    model: Expression
+    rho: Huber | Cauchy
+    added: ClassVar[str] = "measured output"
+
+    @cached_property
+    def graph(self) -> Symbol:
+        """Graph of the transformed residual; raises NotAFormulaError if it cannot be traced."""
+        output = trace(self.model.value, self.columns[:-1], self.arguments)
+        return trace(self.rho.transform, operation("subtract", output, self.columns[-1]))
+
+
+@dataclass(frozen=True)
+class PriorExpression(WithInput, TracedExpression):
+    """An expression with rows for priors: the last input is 0 for data, and k for the k-th prior.
+
+    A row of a prior has the prior's residual.
+    """
+
+    model: Expression
+    prior: PriorResiduals
+    added: ClassVar[str] = "number of the prior"
+
+    @cached_property
+    def graph(self) -> Symbol:
+        """Graph of the output; raises NotAFormulaError if it cannot be traced."""
+        row, output = self.columns[-1], trace(self.model.value, self.columns[:-1], self.arguments)
+        total: Any = np.where(row == 0, output, 0.0)
+        for k, residual in enumerate(self.prior.formulas(self.arguments), start=1):
+            total = total + np.where(row == k, residual, 0.0)
+        graph: Symbol = total
+        return graph
