@@ -13,8 +13,8 @@ import miho
 from miho.moved import new_name
 
 PACKAGES = ["miho", "baselines.problems", *(f"miho.{name}" for name in (
-    "analysis", "data", "identification", "methods", "models", "optim", "parallel", "study",
-    "vehicle.data", "vehicle.driving", "vehicle.models"))]  # fmt: skip
+    "analysis", "data", "identification", "methods", "models", "online", "optim", "parallel",
+    "study", "vehicle.data", "vehicle.driving", "vehicle.models"))]  # fmt: skip
 HEAVY = [
     "matplotlib",
     "numba",

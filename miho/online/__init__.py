@@ -5,12 +5,14 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
+    from miho.online.calibration import Calibration
     from miho.online.method import OnlineMethod, Running
     from miho.online.state import Alarm, Mixture, TrackerState
     from miho.online.tracker import Tracker, TrackerSettings
 
 __all__ = [
     "Alarm",
+    "Calibration",
     "Mixture",
     "OnlineMethod",
     "Running",

@@ -25,7 +25,15 @@ FAR = 3.0
 
 
 class Calibration(NamedTuple):
-    """Scale of the intervals, and threshold of the alarm as a logarithm of odds."""
+    """The calibration of a tracker by a quiet record.
+
+    Parameters
+    ----------
+    scale : float
+        Factor of the intervals.
+    threshold : float
+        Logarithm of the odds that raise the alarm.
+    """
 
     scale: float
     threshold: float

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from miho.core import machine
 from miho.online.slopes import RowFormula, TapedFormula
-from miho.online.state import Mixture
+from miho.online.state import Change, Mixture
 from miho.quantities import Array
 
 EMPTY = -1e9
@@ -371,8 +371,8 @@ class Population:
         self.born[slot], self.weight[slot] = self["row"], math.log(rules.hazard)
         self["turn"] += 1
 
-    def changed(self) -> tuple[Array, Array, Array]:
-        """Values before and after the change, and the standard errors of their difference (d,)."""
+    def changed(self) -> Change:
+        """The change that the hypotheses born since the last alarm describe."""
         away = np.abs(self.theta - self.was) > self.rules.near * self.rules.unit
         late = (self.born > self["since"]) & (away & (self.rules.watched > 0)).any(axis=1)
         weights = np.where(late, np.exp(self.weight), 0.0)
@@ -381,9 +381,9 @@ class Population:
         variance = weights @ ((self.theta - after) / self.rules.unit) ** 2
         variance += weights @ self.P.diagonal(axis1=1, axis2=2)
         early = np.flatnonzero(~late & (self.weight > EMPTY))
-        if early.size:
-            variance += self.P[early[np.argmax(self.weight[early])]].diagonal()
-        return before, after, self.rules.unit * np.sqrt(variance)
+        first = early[np.argmax(self.weight[early])] if early.size else int(np.argmax(weights))
+        errors = [self.rules.unit * np.sqrt(v) for v in (self.P[first].diagonal(), variance)]
+        return Change(before, after, *errors)
 
     def _estimate(self, numbers: Array) -> None:
         """Write mean, covariance and distribution of the parameters.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from miho.core import machine
 from miho.quantities import Array
 
+SIGNIFICANT = 2.0
+"""Standard errors from which a change of one parameter is significant."""
 NEGLIGIBLE = 1e-6
 """Share of a hypothesis below which it does not count in an interval."""
 FAR, BISECTIONS, SMALLEST = 40.0, 36, 1e-300
@@ -22,7 +24,15 @@ FAR, BISECTIONS, SMALLEST = 40.0, 36, 1e-300
 
 
 class Mixture(NamedTuple):
-    """Normal distributions: weights (K,) of sum 1, means (K, d) and deviations (K, d)."""
+    """A mixture of K normal distributions of d parameters.
+
+    Parameters
+    ----------
+    weights : ndarray of shape (K,)
+        Weights, whose sum is 1.
+    means, deviations : ndarray of shape (K, d)
+        Means and standard deviations.
+    """
 
     weights: Array
     means: Array
@@ -31,20 +41,22 @@ class Mixture(NamedTuple):
 
 @dataclass(frozen=True)
 class Alarm:
-    """A detected change of a parameter.
+    """A detected change of parameters.
 
     Parameters
     ----------
     time : float
         Time of the row that raised the alarm [s].
-    parameter : str
-        Name of the parameter that has changed most.
+    parameter : str or None
+        The parameter whose change is most significant; None if no single one is significant.
     before, after : float
         Its values before the change and at the alarm, in its unit.
     standard_error : float
         Standard error of their difference.
     others : tuple of Alarm, optional
-        Further parameters that changed at the same time.
+        Further parameters with a significant change at the same time.
+    suspects : tuple of str, optional
+        Parameters one or more of which have changed, if no single one is significant.
 
     Examples
     --------
@@ -53,29 +65,58 @@ class Alarm:
     """
 
     time: float
-    parameter: str
+    parameter: str | None
     before: float
     after: float
     standard_error: float
     others: tuple[Alarm, ...] = ()
+    suspects: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return " and ".join(one.size for one in (self, *self.others)) + f" at {self.time:.1f} s"
+        each = " and ".join(one.size for one in (self, *self.others))
+        return f"{each} at {self.time:.1f} s"
 
     @property
     def size(self) -> str:
         """The change in words, without its time."""
+        if self.parameter is None:
+            *most, last = self.suspects
+            return f"{', '.join(most)} or {last} changed" if most else f"{last} changed"
         verb = "fell" if self.after < self.before else "rose"
         change = abs(self.after - self.before)
         if self.before == 0:
             return f"{self.parameter} {verb} by {change:.2g} ± {self.standard_error:.1g}"
         share = 100 / abs(self.before)
-        return (
-            f"{self.parameter} {verb} by {share * change:.0f} ± {share * self.standard_error:.0f} %"
-        )
+        error = share * self.standard_error
+        return f"{self.parameter} {verb} by {share * change:.0f} ± {error:.0f} %"
 
 
-@dataclass(frozen=True, eq=False)
+class Change(NamedTuple):
+    """Parameters (d,) before and after a change, and their standard errors."""
+
+    before: Array
+    after: Array
+    before_errors: Array
+    after_errors: Array
+
+
+def alarm_of(change: Change, time: float, names: Sequence[str], watched: Array) -> Alarm:
+    """Return the alarm of a change: the watched parameters, the most significant first."""
+    errors = np.hypot(change.before_errors, change.after_errors)
+    ratios = np.abs(change.after - change.before) / np.maximum(errors, SMALLEST)
+    order = [int(k) for k in np.argsort(-ratios) if watched[k]]
+    named = [
+        Alarm(time, names[k], float(change.before[k]), float(change.after[k]), float(errors[k]))
+        for k in order
+        if ratios[k] >= SIGNIFICANT
+    ]
+    if named:
+        return replace(named[0], others=tuple(named[1:]))
+    suspects = tuple(name for k, name in enumerate(names) if watched[k])
+    return Alarm(time, None, math.nan, math.nan, math.nan, (), suspects)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class TrackerState:
     """The parameters after an update.
 
@@ -120,6 +161,11 @@ class TrackerState:
     mixture: Mixture | None = None
     scale: float = 1.0
     bounds: tuple[Array, Array] | None = None
+
+    def __repr__(self) -> str:
+        each = zip(self.names, self.theta, self.deviations, strict=True)
+        values = ", ".join(f"{name} = {value:.4g} ± {error:.2g}" for name, value, error in each)
+        return f"TrackerState({self.time:.2f} s: {values}; alarm: {self.alarm})"
 
     @cached_property
     def values(self) -> Mapping[str, float]:

@@ -23,7 +23,7 @@ from miho.online.population import Layout, Population, Rules
 from miho.online.present import present_parameters
 from miho.online.prior import place_of, start_of
 from miho.online.slopes import row_formula
-from miho.online.state import Alarm, TrackerState
+from miho.online.state import Alarm, Change, TrackerState, alarm_of
 from miho.quantities import Array
 from miho.validate import at_least, positive, whole
 
@@ -80,12 +80,12 @@ class TrackerSettings(OnlineMethod):
         If a setting is out of its range.
     """
 
-    hazard: float = 3e-4
+    hazard: float = 6e-4
     outliers: float = 0.02
     width: float = 400.0
     threshold: float = 3.0
     near: float = 1 / 7
-    drifts: tuple[float, float, float] = (0.003, 0.15, 0.43)
+    drifts: tuple[float, float, float] = (0.002, 0.15, 0.43)
     use: float = 0.3
     smooth: float = 2.0
     hold: float = 1.5
@@ -205,6 +205,7 @@ class Tracker(Running):
         self._population.begin(theta, covariance, _peak(self.system, self._rules, theta))
         self._names = [*self.columns, *(output.column for output in self.system.outputs)]
         self._bounds = self._rules.low, self._rules.high
+        self._change: tuple[Change, float] | None = None
         self._informative = InformativeRows(self.settings.kept, len(self._names) + 1)
         self._state: TrackerState | None = None
 
@@ -239,13 +240,24 @@ class Tracker(Running):
         for row in self._rows(rows):
             estimate = population.update(row)
             if population["alarm"]:
-                alarm = self._alarm(float(row[-1]))
+                change = population.changed()
+                alarm = alarm_of(change, float(row[-1]), self.system.names, self._rules.watched)
+                self._change = change, alarm.time
                 population["since"] = population["row"] - 1
                 self._informative.clear()
             self._informative.note(row, population["gain"], population["clock"])
         if estimate is not None:
             self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
         return self.state
+
+    @property
+    def change(self) -> Alarm | None:
+        """The last alarm with the estimates of now, which know its size better; None before it."""
+        if self._change is None:
+            return None
+        change, at = self._change
+        now = change._replace(after=self.state.theta, after_errors=self.state.deviations)
+        return alarm_of(now, at, self.system.names, self._rules.watched)
 
     def dataset(self, output: str | None = None) -> Dataset:
         """Return the rows since the last alarm that inform the parameters most, for an offline fit.
@@ -370,19 +382,6 @@ class Tracker(Running):
                     f"rows: column {name!r} has the shape {column.shape}; expected ({count},)"
                 )
         return np.column_stack(values[: len(self._names)] + values[-1:])
-
-    def _alarm(self, at: float) -> Alarm:
-        """The alarm of the last row: the watched parameters that have changed, the most first."""
-        before, after, errors = self._population.changed()
-        sizes = np.abs(after - before) / self._rules.unit
-        order = [k for k in np.argsort(-sizes) if self._rules.watched[k]]
-        each = [
-            Alarm(at, self.system.names[k], float(before[k]), float(after[k]), float(errors[k]))
-            for k in order
-            if k == order[0]
-            or (sizes[k] > self._rules.near and abs(after[k] - before[k]) > 2 * errors[k])
-        ]
-        return replace(each[0], others=tuple(each[1:]))
 
     def _snapshot(self, estimate: Array, alarm: Alarm | None, seconds: float) -> TrackerState:
         population = self._population

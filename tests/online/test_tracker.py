@@ -14,6 +14,7 @@ import miho
 from miho import CurveFit, Dataset, Parameter, Space, Tracker
 from miho.models.identified import parameters_text
 from miho.online import Alarm, OnlineMethod, TrackerSettings, TrackerState
+from miho.online.state import Change, alarm_of
 
 SIGMA = 0.03
 ROWS = 900
@@ -336,6 +337,33 @@ def test_alarms_are_sentences() -> None:
     alarm = Alarm(12.4, "front D", 1000.0, 690.0, 40.0, (second,))
     assert str(alarm) == "front D fell by 31 ± 4 % and rear D fell by 29 ± 3 % at 12.4 s"
     assert str(Alarm(1.0, "Sy", 0.0, 0.2, 0.01)) == "Sy rose by 0.2 ± 0.01 at 1.0 s"
+
+
+def test_the_size_of_a_change_settles() -> None:
+    run = tracker()
+    assert run.change is None
+    followed(run, tire())
+    change = run.change
+    assert change is not None and change.parameter == "D"
+    assert abs(change.after / change.before - 0.65) < 3 * change.standard_error < 0.1
+    assert str(change).startswith("D fell by 3")
+
+
+def test_an_alarm_without_a_significant_parameter_lists_suspects() -> None:
+    values, errors = np.array([1.0, 2.0, 3.0]), np.full(3, 0.5)
+    change = Change(values, values + 0.5, errors, errors)
+    alarm = alarm_of(change, 10.13, ("B", "C", "D"), np.array([1.0, 1.0, 0.0]))
+    assert alarm.parameter is None
+    assert str(alarm) == "B or C changed at 10.1 s"
+    small = change._replace(before_errors=errors / 10, after_errors=errors / 10)
+    assert str(alarm_of(small, 10.13, ("B", "C", "D"), np.array([0.0, 0.0, 1.0]))) == (
+        "D rose by 17 ± 2 % at 10.1 s"
+    )
+
+
+def test_a_state_is_printed_in_one_line() -> None:
+    text = repr(tracker().update({"slip": 0.1, "y": 1.0}))
+    assert text.startswith("TrackerState(0.00 s: B = ") and text.endswith("; alarm: None)")
 
 
 @pytest.mark.parametrize(
