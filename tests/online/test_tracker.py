@@ -341,10 +341,12 @@ def test_alarms_are_sentences() -> None:
 
 def test_the_size_of_a_change_settles() -> None:
     run = tracker()
-    assert run.change is None
+    before = run.change
+    assert before is None
     followed(run, tire())
     change = run.change
-    assert change is not None and change.parameter == "D"
+    assert change is not None
+    assert change.parameter == "D"
     assert abs(change.after / change.before - 0.65) < 3 * change.standard_error < 0.1
     assert str(change).startswith("D fell by 3")
 
