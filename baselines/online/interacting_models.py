@@ -54,6 +54,9 @@ class InteractingModels(PeerMethod):
     resets: bool = False
     detector: Detector = field(default_factory=LevelAlarm)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "drifts", tuple(self.drifts))
+
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
         return _InteractingModelsRun(setup, self)

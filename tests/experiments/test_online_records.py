@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from baselines.online import ExtendedKalman, LevelAlarm, tire
 from experiments.benchmarks.online_methods import CONTENDERS, TRIED, detectors
 from experiments.benchmarks.online_records import Record, arguments, records
 from miho.quantities import Array
+
+TRACKERS = Path(__file__).parents[2] / "conf" / "tracker"
+OTHER_NAMES = {"miho": "tracker", "batch": "batch_ls", "lm_window": "lm"}
 
 
 @pytest.fixture
@@ -61,3 +68,9 @@ def test_each_peer_tries_the_same_number_of_settings() -> None:
         assert not contender.grid or contender.chosen in contender.trials(), name
         contender.method()
         assert detectors(contender.detectors, {}).keys() == {*contender.detectors} - {"own"}
+
+
+@pytest.mark.parametrize("path", sorted(TRACKERS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_configurations_are_the_settings_of_the_comparison(path: Path) -> None:
+    name = OTHER_NAMES.get(path.stem, path.stem)
+    assert instantiate(OmegaConf.load(path)) == CONTENDERS[name].method()
