@@ -206,7 +206,7 @@ class OneStep(TracedExpression):
         return trace(lambda: one_step(state, steering, drive, self.arguments)[self.component])
 
     @property
-    def output(self) -> str:  # type: ignore[override]
+    def output(self) -> str:
         """Unit of the component."""
         return ("m/s", "m/s", "rad/s")[self.component]
 

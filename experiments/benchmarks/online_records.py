@@ -188,16 +188,18 @@ def _record(method: OnlineMethod, stream: Stream, every: int) -> Record:
     rows = list(stream) if every == 1 else _pieces(stream, every)
     names = list(stream.changes)
     theta, reach = np.empty((len(rows), len(names))), np.empty((len(rows), len(names)))
-    alarms, peak, at = [], -np.inf, np.minimum(every * np.arange(1, len(rows) + 1), len(stream)) - 1
-    k: list[int] = []
+    at = np.minimum(every * np.arange(1, len(rows) + 1), len(stream)) - 1
+    alarms: list[float] = []
+    peak, k = -np.inf, [0]
     for i, row in enumerate(rows):
         state = run.update(row)
-        k = k or [state.names.index(name) for name in names]
+        if i == 0:
+            k = [state.names.index(name) for name in names]
         theta[i] = state.theta[k]
         ends = state.intervals()[k]
         reach[i] = np.max(np.abs(ends - state.theta[k][:, None]), axis=1)
         if state.alarm is not None and stream.clock[at[i]] >= SETTLED:
-            alarms.append(stream.clock[at[i]])
+            alarms.append(float(stream.clock[at[i]]))
         if stream.clock[at[i]] >= SETTLED:
             peak = max(peak, state.odds)
     return Record(stream, at, theta, reach, {"own": np.array(alarms)}, {"own": peak})
