@@ -78,11 +78,15 @@ def check_choices(texts: Sequence[str]) -> None:
             raise ConfigError(unknown_message(f"{key}={value}", options))
 
 
+OPEN = ("problem.parts", "online.changes", "online.names", "online.input_noise")
+"""Nodes to which an override adds names."""
+
+
 def replace_spaces(texts: Sequence[str]) -> list[str]:
     """Rewrite overrides for Hydra.
 
-    `space={...}` replaces the whole space. `+space.NAME=...`, `problem.parts.NAME=...` and
-    `hydra.sweeper.params.KEY=...` add to the composed node.
+    `space={...}` replaces the whole space. `+space.NAME=...`, `hydra.sweeper.params.KEY=...` and
+    names in the nodes of `OPEN` add to the composed node.
     """
     whole: list[str] = []
     for text, override in zip(texts, parse_overrides(texts), strict=True):
@@ -94,12 +98,12 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
             for name in reversed(key.split(".")[1:]):
                 value = f"{{{name}: {value}}}"
             whole.append(f"+space={value}")
-        elif names[:2] == ["problem", "parts"] and not (
+        elif ".".join(names[:2]) in OPEN and not (
             override.is_delete() or override.is_sweep_override()
         ):
             for name in reversed(names[2:]):
                 value = f"{{{name}: {value}}}"
-            whole.append(f"++problem.parts={value}")
+            whole.append(f"++{'.'.join(names[:2])}={value}")
         elif names[:3] == ["hydra", "sweeper", "params"] and not override.is_delete():
             whole.append(f"++{text.lstrip('+')}")
         else:

@@ -109,7 +109,7 @@ def grip_figure(
         right = velocity.secondary_yaxis("right", functions=(lambda v: KMH * v, lambda v: v / KMH))
         right.set_ylabel("[km/h]")
         use.axhline(1.0, color="black", linewidth=0.8, linestyle=DASHED, label="limit")
-        use.set(ylabel="use of the true\nfriction [-]", ylim=(0, 1.6), xlabel="time [s]")
+        use.set(ylabel="use of the true\nfriction [-]", ylim=(0, 1.2), xlabel="time [s]")
         for ax in (velocity, use):
             ax.margins(x=0)
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
