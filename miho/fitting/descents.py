@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from miho.fitting.datasets import Datasets
 from miho.identification.inverse_root import INVOLVED, SINGULAR
 from miho.models.expression import Expression
-from miho.models.model import Model
+from miho.models.model import ROOT, Model
 from miho.optim import Space
 from miho.quantities import Array
 
@@ -28,7 +28,6 @@ STANDSTILL = 1e-13
 LEAST = 1e-300
 LEAST_DAMPED = 1e-12
 """Less damping would leave the equations singular where derivatives depend on each other."""
-CUBE_ROOT = float(np.cbrt(np.finfo(float).eps))
 SMALL = 1e-6
 """Smallest size of a parameter for finite differences, as a share of its range."""
 
@@ -130,7 +129,7 @@ class Batch:
         """Central differences (n, N, d) of all datasets at once, which share their columns."""
         width = np.maximum(np.abs(thetas), SMALL * (self.space.high - self.space.low))
         slopes = []
-        for k, step in enumerate((CUBE_ROOT * width).T):
+        for k, step in enumerate((ROOT * width).T):
             moved = np.zeros_like(thetas)
             moved[:, k] = step
             ends = (self.model.predict(thetas + s * moved, *self.columns[:, 0]) for s in (1, -1))

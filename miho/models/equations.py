@@ -13,13 +13,12 @@ import numpy as np
 
 from miho.models.formula_text import written
 from miho.models.function_model import COLUMN, declared_unit
+from miho.models.model import ROOT
 from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, of_symbols, trace
 from miho.models.taped_equations import TapedEquations, taped_equations
 from miho.quantities import Array
 
 NO_UNIT = "-"
-ROOT = float(np.cbrt(np.finfo(float).eps))
-"""Relative step of central differences, with an error near 1e-10 for smooth functions."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.quantities import Array
 
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
     from miho.models.derived import Derived
     from miho.models.tied import Ties
 
+ROOT = float(np.cbrt(np.finfo(float).eps))
+"""Relative step of central differences, with an error near 1e-10 for smooth functions."""
 SMALLEST = 1e-12
 Predict = Callable[..., Array]
 """Outputs (n, N) of parameter rows (n, d) and input columns."""
@@ -222,16 +223,8 @@ class ExternalModel(Model):
     def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
         """Return the derivatives from outputs that `predict` computes or looks up."""
         h = self.step * np.where(theta == 0, self.typical, np.abs(theta))
-        moves = np.diag(h)
-        high, low = np.split(
-            rows_of(predict, np.vstack([theta + moves, theta - moves]), *inputs), 2
-        )
-        width = 2 * h
-        beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
-        if beside.size:
-            centre = predict(theta[None], *inputs)[0]
-            high, low, width = _one_sided(centre, high, low, width, beside)
-        return np.asarray(((high - low) / width[:, None]).T)
+        high, low, sides = _two_sided(predict, theta, np.diag(h), *inputs)
+        return np.asarray(((high - low) / (sides * h)[:, None]).T)
 
     @property
     def jacobian_cost(self) -> int:
@@ -247,27 +240,17 @@ def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array
     the other side only, with an error near 1e-5. A parameter near 0 gives no scale for its step;
     the step grows until the output changes by more than rounding errors.
     """
-    root = float(np.cbrt(np.finfo(float).eps))
-    step = root * np.maximum(np.abs(theta), SMALLEST)
+    step = ROOT * np.maximum(np.abs(theta), SMALLEST)
     derivatives = np.zeros((inputs[0].size, theta.size))
     todo = np.arange(theta.size)
     while todo.size:
-        moves = np.zeros((todo.size, theta.size))
-        moves[np.arange(todo.size), todo] = step[todo]
-        rows = np.vstack([theta + moves, theta - moves])
-        high, low = np.split(rows_of(predict, rows, *inputs), 2)
-        width = (
-            rows[: todo.size][np.arange(todo.size), todo]
-            - rows[todo.size :][np.arange(todo.size), todo]
-        )
-        beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
-        if beside.size:
-            centre = predict(theta[None], *inputs)[0]
-            high, low, width = _one_sided(centre, high, low, width, beside)
+        high, low, sides = _two_sided(predict, theta, np.diag(step)[todo], *inputs)
+        at, h = theta[todo], step[todo]
+        width = ((at + h) - (at - h)) * (sides / 2)
         change = high - low
         derivatives[:, todo] = (change / width[:, None]).T
         size = np.abs(high).max(axis=1)
-        lost = (np.abs(change).max(axis=1) < VISIBLE * size) & (step[todo] < root)
+        lost = (np.abs(change).max(axis=1) < VISIBLE * size) & (step[todo] < ROOT)
         todo = todo[lost]
         step[todo] *= 100
     return derivatives
@@ -285,17 +268,18 @@ def rows_of(predict: Predict, thetas: Array, *inputs: Array) -> Array:
         return values
 
 
-def _one_sided(
-    centre: Array, high: Array, low: Array, width: Array, beside: NDArray[np.intp]
+def _two_sided(
+    predict: Predict, theta: Array, moves: Array, *inputs: Array
 ) -> tuple[Array, Array, Array]:
-    """Replace central differences next to values that are not finite by one-sided ones."""
-    high, low, width = high.copy(), low.copy(), width.copy()
-    for k in beside:
-        if np.isfinite(low[k]).all():
-            high[k] = centre
-        elif np.isfinite(high[k]).all():
-            low[k] = centre
-        else:
-            continue
-        width[k] /= 2
-    return high, low, width
+    """Return the outputs (k, N) at theta + moves and theta - moves (k, d), and the sides (k,).
+
+    Next to a value that is not finite, the output at theta replaces it, and there is one side.
+    """
+    rows = np.vstack([theta + moves, theta - moves])
+    high, low = np.split(rows_of(predict, rows, *inputs), 2)
+    above, below = (np.asarray(np.isfinite(side).all(axis=1)) for side in (high, low))
+    if not (above & below).all():
+        centre = predict(theta[None], *inputs)
+        high = np.where((below & ~above)[:, None], centre, high)
+        low = np.where((above & ~below)[:, None], centre, low)
+    return high, low, np.where(above == below, 2.0, 1.0)
