@@ -11,6 +11,7 @@ from miho.core import machine
 from miho.data import Dataset
 from miho.identification import Cauchy, CurveFit, Huber
 from miho.identification.loss import Loss, Square
+from miho.models import FunctionModel
 from miho.optim import Parameter, Space
 
 pytestmark = pytest.mark.skipif(machine() is None, reason="needs the machine")
@@ -36,7 +37,7 @@ def problem_of(
     parameters: tuple[Parameter, ...], rho: Loss, weighted: bool, compiled: bool = True
 ) -> CurveFit:
     columns = {"t": T, "y": Y, "s": SIGMA}
-    model = miho.models.FunctionModel(decay, columns=("t",))
+    model = FunctionModel(decay, columns=("t",))
     return CurveFit(
         model,
         Dataset("decay", columns, dict.fromkeys(columns, ""), "y"),
@@ -82,7 +83,7 @@ def test_residuals_and_derivatives_are_those_of_numpy(
 @pytest.mark.parametrize("rho", [Huber(0.1), Cauchy(0.1)])
 def test_a_residual_of_zero_has_the_derivative_of_the_model(rho: Loss) -> None:
     columns = {"t": T, "y": decay(T, 2.0, 1.5), "s": SIGMA}
-    model = miho.models.FunctionModel(decay, columns=("t",))
+    model = FunctionModel(decay, columns=("t",))
     data = Dataset("decay", columns, dict.fromkeys(columns, ""), "y")
     problem = CurveFit(model, data, Space(PLAIN), rho, sigma=0.05)
     assert problem.kernel is not None
