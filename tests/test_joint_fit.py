@@ -17,7 +17,8 @@ from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import optimal_design
 from miho.identification.uncertainty import series_of
 from miho.models.expression import Expression
-from miho.models.joint import PART, JointExpression, JointModel, parts_of
+from miho.models.joint import JointExpression, JointModel, parts_of
+from miho.models.layout import PART
 from miho.models.traced import TracedExpression
 from miho.vehicle.data import embedded_tire
 from miho.vehicle.models import Pacejka

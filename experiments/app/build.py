@@ -24,9 +24,9 @@ from miho.fitting.joint_problem import SIGMA as DEVIATION
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import CurveFit, Loss, linear_optimum
 from miho.identification.constraints import constrained
-from miho.identification.report import irreducible_of
+from miho.identification.irreducible import irreducible_of
 from miho.models import Model
-from miho.models.joint import PART
+from miho.models.layout import PART
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of

@@ -259,8 +259,13 @@ class Fit(Remade):
         distinguish, and an uncertain optimum. `notes` has all remarks, and takes longer.
         """
         from miho.identification.alternatives import several_values
-        from miho.identification.flags import doubtful, ended_at_bounds, held_at_bounds, unseen
-        from miho.identification.report import REMEDY
+        from miho.identification.flags import (
+            REMEDY,
+            doubtful,
+            ended_at_bounds,
+            held_at_bounds,
+            unseen,
+        )
         from miho.identification.stated import reported_space, reported_uncertainty
 
         stand = self._standing

@@ -19,7 +19,8 @@ from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
 from miho.identification.uncertainty import Linearised
-from miho.models.joint import PART, parts_of
+from miho.models.joint import parts_of
+from miho.models.layout import PART
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.parallel import Workers

@@ -23,7 +23,8 @@ from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
 from miho.models.function_model import FunctionModel
-from miho.models.joint import PART, JointModel, JointPart, joined, parts_of
+from miho.models.joint import JointModel, JointPart, joined, parts_of
+from miho.models.layout import PART
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.quantities import Array

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import delta_method, derived
 from miho.identification.stated import reported_space, reported_uncertainty
 from miho.identification.uncertainty import AT_BOUND, Linearised
 from miho.identification.within_noise import error_variance
@@ -117,6 +116,8 @@ def _compared(
     An error is 0 if no optimum has one, for example at a bound, and infinite if the data determine
     the quantity at no optimum.
     """
+    from miho.identification.derived import delta_method, derived
+
     each = [reported_uncertainty(problem, at) for at in optima]
     names = reported_space(problem.space).names
     values = dict(zip(names, np.array([at.theta for at in each]).T, strict=True))

@@ -11,7 +11,8 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
 from miho.models.derived import Derived
-from miho.models.joint import PART, parts_of
+from miho.models.joint import parts_of
+from miho.models.layout import PART
 from miho.models.model import Model
 from miho.models.tied import Tied
 from miho.quantities import Array

@@ -29,7 +29,7 @@ from miho.identification.printed import wrapped
 from miho.identification.report import Report, rounding_of
 from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
 from miho.identification.uncertainty import Linearised
-from miho.models.joint import PART
+from miho.models.layout import PART
 from miho.quantities import Array
 from miho.validate import whole
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,19 +13,17 @@ from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
-from miho.identification.profile_likelihood import Profile
-from miho.identification.uncertainty import (
-    EVENT,
-    Dependence,
-    Linearised,
-    alike_beside_priors,
-    parameters_at_bounds,
-)
-from miho.identification.validation import OR_DRIFT, in_a_sweep, is_finding
-from miho.models.derived import Derived
+from miho.identification.uncertainty import EVENT, alike_beside_priors, parameters_at_bounds
 from miho.optim.space import Space
 from miho.quantities import Array
 
+if TYPE_CHECKING:
+    from miho.identification.profile_likelihood import Profile
+    from miho.identification.uncertainty import Dependence, Linearised
+    from miho.models.derived import Derived
+
+REMEDY = "search from more starts, or in a narrower or logarithmic box."
+"""Advice on an optimum in doubt, for fits from Python."""
 CORRELATED = 0.9
 """Parameters whose absolute correlation reaches this are hard to distinguish."""
 LOPSIDED = 0.2
@@ -316,6 +315,8 @@ def followed(problem: CurveFit, trends: pd.DataFrame) -> list[str]:
 
     The cause is a wrong shape of the model, a missing input, or correlated noise.
     """
+    from miho.identification.validation import OR_DRIFT, in_a_sweep, is_finding
+
     sentences = []
     for row in trends.to_dict("records"):
         if not is_finding(row["explained"], row["p of independent rows"]):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.optim.seeds import stream
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.identification.curve_fit import CurveFit
 
 TIED = 1e-9
 """Random offsets that decide between equally near points, as a fraction of the spread of an
@@ -119,6 +122,16 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
         square * freedom / max(float(scipy.special.chdtri(freedom, 1 - tail)), np.finfo(float).tiny)
     )
     return Irreducible(value, math.sqrt(max(0.0, lowest)), math.sqrt(highest))
+
+
+def irreducible_of(problem: CurveFit) -> Irreducible:
+    """Estimate of the error that no curve in the single input can beat.
+
+    NaN for several inputs, and for rows of different weights: their neighbours scatter differently.
+    """
+    if len(problem.inputs) != 1 or problem.weights is not None:
+        return Irreducible(math.nan, math.nan, math.nan)
+    return irreducible_interval(problem.inputs[0], problem.dataset[problem.dataset.output])
 
 
 def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:

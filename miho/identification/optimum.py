@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
-from miho.identification.report import irreducible_of
+from miho.identification.irreducible import irreducible_of
 from miho.identification.standing import Standing, kind_of, singular, standing
 from miho.identification.uncertainty import Linearised, linearised
-from miho.identification.validation import root_mean_square
 from miho.optim import Descents, in_optimum
 from miho.optim.zero import is_rounding, is_zero
 from miho.quantities import Array
@@ -129,7 +128,7 @@ def _by_descents(
     stand = standing(loss, problem.resolution, searches)
     if not stand.doubt:
         return stand
-    error = root_mean_square(problem.errors(theta))
+    error = float(np.sqrt(np.mean(problem.errors(theta) ** 2)))
     least = irreducible_of(problem)
     return standing(loss, problem.resolution, searches, irreducible=least, error=error)
 

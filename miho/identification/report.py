@@ -22,6 +22,7 @@ from miho.identification.derived import (
     is_held,
 )
 from miho.identification.flags import (
+    REMEDY,
     doubtful,
     ended_at_bounds,
     followed,
@@ -38,7 +39,7 @@ from miho.identification.flags import (
     uneven_spread,
     wrong_signs,
 )
-from miho.identification.irreducible import Irreducible, irreducible_interval
+from miho.identification.irreducible import Irreducible, irreducible_of
 from miho.identification.printed import wrapped
 from miho.identification.prior import prior_notes, prior_table
 from miho.identification.profile_likelihood import Profile
@@ -79,7 +80,6 @@ ROUNDING = 1e-12
 """Errors below this fraction of the output are rounding, not noise."""
 KINDS = ("profile", "bootstrap", "linearised")
 """The kinds of intervals, the best first."""
-REMEDY = "search from more starts, or in a narrower or logarithmic box."
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,13 +483,3 @@ def _end(value: float) -> str:
 def rounding_of(problem: CurveFit) -> float:
     """The largest error, in the unit of the output, that counts as rounding."""
     return ROUNDING * root_mean_square(problem.dataset[problem.dataset.output])
-
-
-def irreducible_of(problem: CurveFit) -> Irreducible:
-    """Estimate of the error that no curve in the single input can beat.
-
-    NaN for several inputs, and for rows of different weights: their neighbours scatter differently.
-    """
-    if len(problem.inputs) != 1 or problem.weights is not None:
-        return Irreducible(math.nan, math.nan, math.nan)
-    return irreducible_interval(problem.inputs[0], problem.dataset[problem.dataset.output])

@@ -13,6 +13,7 @@ from miho.identification.alternatives import minima_at
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
+from miho.identification.flags import REMEDY
 from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, standing_of
 from miho.identification.profile_likelihood import (
     SIGNS,
@@ -28,7 +29,7 @@ from miho.identification.refit import (
     refit,
     seconds_of_refit,
 )
-from miho.identification.report import REMEDY, Report, rounding_of
+from miho.identification.report import Report, rounding_of
 from miho.identification.stated import (
     reported_space,
     reported_uncertainty,

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from miho.identification.irreducible import Irreducible
 from miho.optim import Agreement, Descents, agreement
+
+if TYPE_CHECKING:
+    from miho.identification.irreducible import Irreducible
 
 BEATEN = 0.1
 """If no curve can have an error lower by more than this fraction, one search is enough evidence,

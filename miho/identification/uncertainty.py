@@ -12,7 +12,6 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.data.stacking import OUTPUT
 from miho.identification.autocorrelation import (
     Autoregression,
     Likeness,
@@ -22,7 +21,7 @@ from miho.identification.autocorrelation import (
 )
 from miho.identification.curve_fit import CurveFit
 from miho.identification.inverse_root import INVOLVED, inverse_root
-from miho.models.joint import PART
+from miho.models.layout import OUTPUT, PART
 from miho.optim.space import Space
 from miho.quantities import Array
 

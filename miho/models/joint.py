@@ -13,14 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.expression import Expression
-from miho.models.layout import OUTPUT
+from miho.models.layout import OUTPUT, PART
 from miho.models.model import Model
 from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
-
-PART = "part of the row"
-"""Name of the first input: the number of the part of each row, from 0."""
 
 
 class JointPart(NamedTuple):

@@ -14,6 +14,8 @@ from miho.validate import positive
 MEASURED, IDENTIFIED = "measured", "identified"
 OUTPUT = "output"
 """Column with the number of a row's output, from 0."""
+PART = "part of the row"
+"""Column with the number of a row's part in a joint model, from 0."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from experiments.app.execution import execution_of
 from experiments.app.optimum import report_of
 from experiments.app.plan import experiment_of, requests
 from experiments.app.schema import register
-from miho.models.joint import PART
+from miho.models.layout import PART
 from miho.study import load_runs
 
 register()

@@ -180,7 +180,7 @@ def test_more_digits_of_an_optimum_need_no_new_descents(monkeypatch: pytest.Monk
     before = fit.alternatives
     report = fit.report(profiles=False)
     assert not np.array_equal(fit.theta, near), "or this tests nothing"
-    monkeypatch.setattr("miho.fitting.fit_result.optima_within_noise", None)
+    monkeypatch.setattr("miho.identification.within_noise.optima_within_noise", None)
     assert fit.alternatives["B"].tolist() == pytest.approx(before["B"], rel=1e-4)
     assert fit.alternatives["B"].tolist() == pytest.approx(report.optima["B"], rel=1e-4)
 

@@ -23,7 +23,7 @@ from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import in_a_sweep
-from miho.models.joint import PART
+from miho.models.layout import PART
 from miho.optim import Space
 from miho.vehicle.data import simulated_axle_drive
 from miho.vehicle.models import Pacejka

@@ -32,8 +32,8 @@ from miho.figures.report import (
 from miho.identification import Report, identified
 from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text
-from miho.models.joint import PART, rows_of_parts
-from miho.models.layout import OUTPUT
+from miho.models.joint import rows_of_parts
+from miho.models.layout import OUTPUT, PART
 from miho.study import StoredRun, write_bytes, write_text
 from miho.study.places import inside
 from miho.study.provenance import flattened, provenance
