@@ -14,36 +14,19 @@ in place. Ctrl-C keeps all states so far; online.resume=true continues from ther
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 if not __package__:  # as python experiments/track.py, like python -m experiments.track
     sys.path[0] = str(Path(__file__).parents[1])
 
-import numpy as np
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from baselines.online import Stream
-from experiments.app.build import ConfigError, build_problem
 from experiments.app.console import command
-from experiments.app.instantiation import instantiate
 from experiments.online.live import LiveView
-from experiments.online.session import (
-    EARLIER,
-    STATE,
-    STATES,
-    Session,
-    in_words,
-    resumed,
-)
-from experiments.online.sources import Lines, Replay, Socket, Source, Synthetic
-from miho.data import Dataset
-from miho.fitting.search import searched
-from miho.identification import CurveFit, Report
-from miho.online import OnlineMethod, Running
+from experiments.online.session import Session, in_words
+from experiments.online.task import begun, task_of
 
 SETTINGS = {
     "tracker": "the method: miho, or one of its peers",
@@ -58,32 +41,13 @@ SETTINGS = {
 }
 
 
-@dataclass(frozen=True)
-class Task:
-    """All that a method needs to start, and the source of its rows."""
-
-    problems: Sequence[CurveFit]
-    prior: Report | Mapping[str, tuple[float, float]]
-    changes: Mapping[str, float] | None
-    input_noise: Mapping[str, float]
-    source: Source
-    stream: Stream | None = None
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Inputs and outputs of all problems."""
-        names = [n for p in self.problems for n in (*p.model.inputs, p.dataset.output)]
-        return tuple(dict.fromkeys(names))
-
-
 def track(cfg: DictConfig) -> None:
     """Feed the method with all rows of the stream, then write what follows from its states."""
     several = HydraConfig.get().mode is RunMode.MULTIRUN
     root = Path(HydraConfig.get().runtime.output_dir if several else cfg.root)
     name = HydraConfig.get().runtime.choices.tracker
     task = task_of(cfg)
-    method = instantiate(_node(cfg, "tracker"), "tracker", OnlineMethod)
-    running = _begun(cfg, root, method, task)
+    running = begun(cfg, root, task)
     quiet = several or (cfg.online.live and sys.stdout.isatty())
     view = LiveView(sys.stdout) if quiet and not several else None
     words = {str(key): str(value) for key, value in cfg.online.names.items()}
@@ -110,72 +74,6 @@ def track(cfg: DictConfig) -> None:
         score(root, name, cfg.seed, task.stream, session.alarms)
         if several:
             compare(Path(cfg.root))
-
-
-def task_of(cfg: DictConfig) -> Task:
-    """Return the problem, the prior and the source that a configuration describes."""
-    node = _node(cfg, "stream")
-    stated = {str(k): float(v) for k, v in cfg.online.changes.items()} or None
-    noise = {str(k): float(v) for k, v in cfg.online.input_noise.items()}
-    if "_target_" in node:
-        stream = instantiate(node, "stream", Stream)
-        return Task(
-            stream.problem, stream.prior, stated or stream.changes,
-            noise or stream.input_noise, Synthetic(stream), stream,
-        )  # fmt: skip
-    problem = build_problem(cfg)
-    kind, later = node.get("source"), problem.dataset
-    if kind == "replay" and cfg.online.learn is not None:
-        problem, later = _split(problem, cfg.online.learn, cfg.online.period)
-    sources = {
-        "stdin": lambda: Lines(),
-        "socket": lambda: Socket(node.get("host", "127.0.0.1"), node.get("port", 0)),
-        "replay": lambda: Replay(later, cfg.online.period, node.get("rate")),
-    }
-    if kind not in sources:
-        raise ConfigError(f"stream.source: is {kind!r}; expected {', '.join(sources)}")
-    report = searched(problem, seed=cfg.seed).report()
-    if problem.sigma is None:
-        problem = replace(problem, sigma=report.at.noise)
-    print(f"offline data: {len(problem.dataset):,} rows of {problem.dataset.name}", file=sys.stderr)
-    return Task((problem,), report, stated, noise, sources[kind]())
-
-
-def _split(problem: CurveFit, learn: float, period: float) -> tuple[CurveFit, Dataset]:
-    """Return the problem on the rows before a time [s], and the data of the later rows."""
-    data = problem.dataset
-    times = data.columns.get("time", period * np.arange(len(data)))
-    first = times - times[0] < learn
-    if not 0 < np.count_nonzero(first) < len(data):
-        raise ConfigError(
-            f"online.learn: is {learn:g} s; expected less than the {times[-1] - times[0]:g} s of "
-            f"{data.name}, and more than 0"
-        )
-    try:
-        return replace(problem, dataset=data.select(first)), data.select(~first)
-    except ValueError as error:
-        raise ConfigError(f"online.learn: {error}") from None
-
-
-def _begun(cfg: DictConfig, root: Path, method: OnlineMethod, task: Task) -> Running:
-    """Return the run of the method, from the start or as the last session left it."""
-    if cfg.online.resume:
-        return resumed(root / STATE)
-    if (root / STATES).exists():
-        (root / STATES).replace(root / EARLIER)
-    try:
-        return method.start(
-            task.problems, task.prior, task.changes, task.input_noise, cfg.online.period
-        )
-    except ValueError as error:
-        raise ConfigError(f"online: {error}") from None
-
-
-def _node(cfg: DictConfig, key: str) -> dict[str, object]:
-    node = OmegaConf.to_container(cfg[key], resolve=True)
-    if not isinstance(node, dict) or not node:
-        raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
-    return {str(name): value for name, value in node.items()}
 
 
 def main() -> None:

@@ -71,6 +71,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.vehicle.driving": (
         {
+            "miho.online",
             "miho.vehicle.driving",
             "miho.vehicle.models",
             "miho.vehicle.data",
@@ -127,6 +128,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
             "miho.online",
             "miho.optim",
             "miho.models",
+            "miho.vehicle.models",
             "miho.data",
             "miho.identification",
         },

@@ -54,7 +54,7 @@ def test_the_groups_are_known() -> None:
     groups = {path.name for path in CONF.iterdir() if path.is_dir()}
     assert groups == {
         "model", "dataset", "space", "loss", "problem", "optimizer", "budget", "experiment",
-        "vehicle", "tracking", "hydra", "track", "controller",
+        "vehicle", "tracking", "hydra", "track", "controller", "tracker", "stream",
     }  # fmt: skip
 
 
