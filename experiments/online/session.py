@@ -118,11 +118,7 @@ def in_words(alarm: Alarm, words: Mapping[str, str]) -> str:
     >>> in_words(Alarm(12.4, "D", 1000.0, 690.0, 40.0), {"D": "front grip"})
     'front grip fell by 31 ± 4 % at 12.4 s'
     """
-    parts = []
-    for one in (alarm, *alarm.others):
-        name = words.get(one.parameter, one.parameter.replace("_", " "))
-        parts.append(name + one.size.removeprefix(one.parameter))
-    return " and ".join(parts) + f" at {alarm.time:.1f} s"
+    return str(alarm.with_names(lambda name: words.get(name, name.replace("_", " "))))
 
 
 def resumed(path: Path) -> Running:

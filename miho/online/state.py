@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -75,6 +75,15 @@ class Alarm:
     def __str__(self) -> str:
         each = " and ".join(one.size for one in (self, *self.others))
         return f"{each} at {self.time:.1f} s"
+
+    def with_names(self, name: Callable[[str], str]) -> Alarm:
+        """Return the alarm with other names of the parameters."""
+        return replace(
+            self,
+            parameter=None if self.parameter is None else name(self.parameter),
+            others=tuple(one.with_names(name) for one in self.others),
+            suspects=tuple(name(one) for one in self.suspects),
+        )
 
     @property
     def size(self) -> str:

@@ -357,6 +357,7 @@ def test_an_alarm_without_a_significant_parameter_lists_suspects() -> None:
     alarm = alarm_of(change, 10.13, ("B", "C", "D"), np.array([1.0, 1.0, 0.0]))
     assert alarm.parameter is None
     assert str(alarm) == "B or C changed at 10.1 s"
+    assert str(alarm.with_names(str.lower)) == "b or c changed at 10.1 s"
     small = change._replace(before_errors=errors / 10, after_errors=errors / 10)
     assert str(alarm_of(small, 10.13, ("B", "C", "D"), np.array([0.0, 0.0, 1.0]))) == (
         "D rose by 17 ± 2 % at 10.1 s"
