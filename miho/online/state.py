@@ -17,6 +17,8 @@ from miho.quantities import Array
 
 SIGNIFICANT = 2.0
 """Standard errors from which a change of one parameter is significant."""
+SUSPECT = 0.5
+"""Share of the most significant change from which another parameter is a suspect."""
 NEGLIGIBLE = 1e-6
 """Share of a hypothesis below which it does not count in an interval."""
 FAR, BISECTIONS, SMALLEST = 40.0, 36, 1e-300
@@ -121,7 +123,8 @@ def alarm_of(change: Change, time: float, names: Sequence[str], watched: Array) 
     ]
     if named:
         return replace(named[0], others=tuple(named[1:]))
-    suspects = tuple(name for k, name in enumerate(names) if watched[k])
+    likely = SUSPECT * ratios[order[0]]
+    suspects = tuple(names[k] for k in sorted(order) if ratios[k] >= likely)
     return Alarm(time, None, math.nan, math.nan, math.nan, (), suspects)
 
 
