@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -246,8 +247,8 @@ def _other_changes(trial: Trial) -> dict[str, Any]:
 
 
 def _count(hours: float, seconds: float) -> int:
-    """Number of streams of this length in some hours, at least one."""
-    return max(1, round(3600 * hours / seconds))
+    """Number of streams of this length that make up some hours, at least one."""
+    return max(1, math.ceil(3600 * hours / seconds))
 
 
 def _delays(name: str, values: Sequence[float]) -> dict[str, float]:
