@@ -45,7 +45,7 @@ def track(cfg: DictConfig) -> None:
     """Feed the method with all rows of the stream, then write what follows from its states."""
     several = HydraConfig.get().mode is RunMode.MULTIRUN
     root = Path(HydraConfig.get().runtime.output_dir if several else cfg.root)
-    name = HydraConfig.get().runtime.choices.tracker
+    name = HydraConfig.get().runtime.choices["tracker"]
     task = task_of(cfg)
     running = begun(cfg, root, task)
     quiet = several or (cfg.online.live and sys.stdout.isatty())

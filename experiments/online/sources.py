@@ -99,7 +99,7 @@ class Replay(Source):
 
     def __init__(self, dataset: Dataset, period: float, rate: float | None = None) -> None:
         self.columns = {name: np.asarray(column) for name, column in dataset.columns.items()}
-        self.columns.setdefault("time", period * np.arange(len(dataset)))
+        self.columns.setdefault("time", np.asarray(period * np.arange(len(dataset)), dtype=float))
         self.rate = rate
 
     def rows(self) -> Iterator[Mapping[str, float]]:

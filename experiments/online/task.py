@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
@@ -54,8 +55,8 @@ def task_of(cfg: DictConfig) -> Task:
     kind, later = node.get("source"), problem.dataset
     if kind == "replay" and cfg.online.learn is not None:
         problem, later = _split(problem, cfg.online.learn, cfg.online.period)
-    sources = {
-        "stdin": lambda: Lines(),
+    sources: dict[str, Callable[[], Source]] = {
+        "stdin": Lines,
         "socket": lambda: Socket(node.get("host", "127.0.0.1"), node.get("port", 0)),
         "replay": lambda: Replay(later, cfg.online.period, node.get("rate")),
     }
@@ -99,7 +100,7 @@ def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
         raise ConfigError(f"online: {error}") from None
 
 
-def _node(cfg: DictConfig, key: str) -> dict[str, object]:
+def _node(cfg: DictConfig, key: str) -> dict[str, Any]:
     node = OmegaConf.to_container(cfg[key], resolve=True)
     if not isinstance(node, dict) or not node:
         raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")

@@ -20,6 +20,7 @@ import miho
 from experiments.online.results import write_session
 from experiments.online.session import Session, resumed
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
+from miho.models import FunctionModel
 from miho.online import Tracker
 
 N = 60
@@ -29,7 +30,9 @@ def line_problem() -> miho.CurveFit:
     """y = a x, with a small error."""
     x = np.linspace(1, 2, 30)
     data = miho.Dataset("line", {"x": x, "y": 2 * x}, {"x": "", "y": ""}, "y")
-    return miho.CurveFit(slope, data, miho.Space((miho.Parameter("a", "", 0, 5),)), sigma=0.05)
+    return miho.CurveFit(
+        FunctionModel(slope), data, miho.Space((miho.Parameter("a", "", 0, 5),)), sigma=0.05
+    )
 
 
 def slope(x, *, a):  # type: ignore[no-untyped-def]

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from miho.analysis.figures.driving import ALARM, AMBER, BLUE, DASHED, GREEN, KMH
-from miho.analysis.figures.house import WIDTH, caption, house_style
+from miho.analysis.figures.house import caption
+from miho.figures.style import WIDTH, house_style
 
 COLORS = {"the offline value": ALARM, "the tracker": BLUE, "the oracle": GREEN}
 """Colours of drivers by their source of the friction."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from miho.vehicle.driving.driver import Driver, DriverState
 from miho.vehicle.driving.plant import Command, Motion
 from miho.vehicle.driving.slow_down import slowed_from
+from miho.vehicle.driving.steering_control import SteeringController
 from miho.vehicle.driving.velocity_planner import VelocityPlan, VelocityPlanner
 
 STEP = 0.01
@@ -87,7 +88,9 @@ class LearningDriver:
         key = round(friction / STEP)
         if key not in self.known:
             planner = replace(self.planner, mu=self.planner.mu * friction)
-            steering = replace(self.driver.steering, friction=friction)
+            steering = self.driver.steering
+            if isinstance(steering, SteeringController):  # the printed one knows no friction
+                steering = replace(steering, friction=friction)
             plan = self.plan if friction == 1.0 else planner.plan(self.plan.line)
             self.known[key] = replace(self.driver, plan=plan, steering=steering)
         return self.known[key]

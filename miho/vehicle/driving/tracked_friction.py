@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Any
 
 import numpy as np
 
@@ -129,7 +130,8 @@ def front_rows(vehicle: Vehicle, drive: Drive) -> dict[str, Array]:
     blank = Motion(*np.zeros(len(Motion._fields)))
     rows = []
     for k in range(len(drive)):
-        motion = blank._replace(**{name: float(column[k]) for name, column in columns.items()})
+        values: dict[str, Any] = {name: float(column[k]) for name, column in columns.items()}
+        motion = blank._replace(**values)
         row = axle.row(motion, float(drive["curvature"][k]), float(drive["bank"][k]))
         if row is not None:
             rows.append(row)
