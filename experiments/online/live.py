@@ -11,8 +11,6 @@ from miho.online import TrackerState
 
 PERIOD = 0.1
 """Time between two pictures [s]."""
-WIDTH = 41
-"""Number of characters of the scale of a parameter."""
 SHOWN = 5
 """Number of alarms that are shown, the last ones."""
 
