@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 import miho
-from miho.fitting.dear_fit import pace_line
+from miho.fitting.expensive_fit import pace_line
 from miho.fitting.named import METHODS, loss_of, method_of
 from miho.identification import CurveFit
 from miho.identification.loss import Cauchy, Huber, Square

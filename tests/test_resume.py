@@ -82,9 +82,9 @@ class Runs:
 
 
 @pytest.fixture(autouse=True)
-def dear(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every evaluation counts as dear, however long it takes."""
-    monkeypatch.setattr(worth, "DEAR", 0.0)
+def expensive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every evaluation counts as expensive, however long it takes."""
+    monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
     monkeypatch.setattr(worth, "LEAST", 0.0)
     monkeypatch.setattr(worth, "ALONE", 0.0)
 

@@ -119,7 +119,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     if setting["seed"] < 0:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
     untried = problem is None
-    problem = build_problem(setting, dear=True) if problem is None else problem
+    problem = build_problem(setting, expensive=True) if problem is None else problem
     try:
         budget = Budget(**part_of(setting, "budget"))
         config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
@@ -186,17 +186,19 @@ def method_of(cfg: Settings) -> str:
     return str(setting["method"] or target.rpartition(".")[2].lower())
 
 
-def build_problem(cfg: Settings, dataset: Dataset | None = None, *, dear: bool = False) -> CurveFit:
+def build_problem(
+    cfg: Settings, dataset: Dataset | None = None, *, expensive: bool = False
+) -> CurveFit:
     """Build only the problem, from `dataset` if the data were built before.
 
-    With `dear` the model counts as expensive and is not evaluated here.
+    With `expensive` the model counts as expensive and is not evaluated here.
     """
     setting = plain(cfg)
     dataset, problem_of = _statement(setting, dataset)
     space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
     rho = instantiate(part_of(setting, "loss"), "loss", Loss)
     settings = part_of(setting, "problem")
-    switches = {"threads": settings["threads"], "dear": dear}
+    switches = {"threads": settings["threads"], "expensive": expensive}
     try:
         constraints = settings["constraints"] or ()
         return problem_of(
@@ -295,7 +297,7 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         constraints = config["problem"].get("constraints") or ()
         calls = stored.result.get("facts", {}).get("called_as") or ()
         return problem_of(
-            space, rho=rho, label=name, constraints=constraints, dear=bool(calls)
+            space, rho=rho, label=name, constraints=constraints, expensive=bool(calls)
         ).called(calls)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None

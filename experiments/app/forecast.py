@@ -11,7 +11,7 @@ from experiments.app.build import Experiment
 from miho.data.preview import preview
 from miho.identification import CurveFit
 from miho.models.function_model import FunctionModel
-from miho.models.leaves import dear_leaves
+from miho.models.leaves import expensive_leaves
 from miho.models.model import ExternalModel
 from miho.optim import Budget
 from miho.study import Store
@@ -32,7 +32,7 @@ def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
     if preview_text is None or Store(experiment.root).has_result(experiment.identity):
         return
     print(preview_text, file=sys.stderr, flush=True)
-    if any(isinstance(m, FunctionModel | ExternalModel) for m in dear_leaves(problem.model)):
+    if any(isinstance(m, FunctionModel | ExternalModel) for m in expensive_leaves(problem.model)):
         return
     seconds = seconds_of_evaluation(problem)
     print(forecast(seconds, experiment.budget, len(problem.dataset), dataset), file=sys.stderr)

@@ -17,9 +17,9 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.models.function_model import FunctionFormula, alike
-from miho.models.leaves import dear_leaves
+from miho.models.leaves import expensive_leaves
 from miho.models.model import Model
-from miho.parallel.worth import is_dear
+from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def by_calls(
     def agree() -> bool:
         started = time.perf_counter()
         same = _same(model, called, thetas[:1], inputs)
-        if same and len(thetas) > 1 and not is_dear(time.perf_counter() - started):
+        if same and len(thetas) > 1 and not is_expensive(time.perf_counter() - started):
             same = _same(model, called, thetas[1:], inputs)
         return same
 
@@ -58,7 +58,7 @@ def by_calls(
         f"miho: {problem.name}: the function gives other values for numbers than for arrays, so it "
         "is called with numbers, one configuration at a time\n"
     )
-    return replace(problem, model=called, dear=True)
+    return replace(problem, model=called, expensive=True)
 
 
 def compared_at(problem: CurveFit) -> Array:
@@ -71,7 +71,7 @@ def check_repeats(
     problem: CurveFit, theta: Array, cost: float, evaluations: Evaluations | None = None
 ) -> None:
     """Warn if a second call of the function at `theta` (d,) gives another sum of squares."""
-    if not dear_leaves(problem.model) or _is_final(problem, evaluations):
+    if not expensive_leaves(problem.model) or _is_final(problem, evaluations):
         return
     try:
         again = float(np.sum(problem.residuals(theta) ** 2))
@@ -93,7 +93,9 @@ def check_repeats(
 def _is_final(problem: CurveFit, evaluations: Evaluations | None) -> bool:
     """Whether evaluations may not be repeated: a journal records them, or they may hang."""
     return (
-        evaluations is not None and not evaluations.may_repeat and bool(dear_leaves(problem.model))
+        evaluations is not None
+        and not evaluations.may_repeat
+        and bool(expensive_leaves(problem.model))
     )
 
 

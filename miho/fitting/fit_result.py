@@ -20,7 +20,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit
 from miho.models.traced import Remade
 from miho.optim import Descents, Minimum, in_optimum
-from miho.parallel.worth import is_dear
+from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class Fit(Remade):
         self.problem.loss(self.theta[None])
         at = None
         # Whether a parameter has an effect elsewhere takes many evaluations.
-        if not is_dear(time.perf_counter() - started):
+        if not is_expensive(time.perf_counter() - started):
             with contextlib.suppress(ValueError):  # too few rows
                 at = self.uncertainty
         return standing_of(

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.dear_fit import JournalPath, as_begun, dear_fit
+from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_fit import without_priors
@@ -139,11 +139,13 @@ def fit_joint(
     bounds = joint.space(space, fixed, tied, constraints)
     plain = without_priors(bounds) if joint.lacking else bounds  # priors need sigma
     problem = as_begun(
-        lambda dear: joint.problem(plain, compiled=compiled, dear=dear), journal, evaluation_limit
+        lambda expensive: joint.problem(plain, compiled=compiled, expensive=expensive),
+        journal,
+        evaluation_limit,
     )
-    with dear_fit(problem, workers, evaluation_limit, journal) as evaluations:
+    with expensive_fit(problem, workers, evaluation_limit, journal) as evaluations:
         if joint.lacking:
-            settings = {"compiled": compiled, "dear": True}
+            settings = {"compiled": compiled, "expensive": True}
             joint = joint.as_examined(problem)
             problem = joint.complete(bounds, method, budget, seed, evaluations, **settings)
         fit = searched(problem, method, budget, seed, evaluations)

@@ -11,7 +11,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
-from miho.fitting.dear_fit import spread
+from miho.fitting.expensive_fit import spread
 from miho.fitting.fit_result import Fit
 from miho.fitting.one_fit import has_priors, without_priors
 from miho.fitting.search import searched
@@ -156,7 +156,7 @@ class Joint:
 
     def problem(self, space: Space, **settings: Any) -> CurveFit:
         """The problem within a space of all parameters; `settings` go to `CurveFit`."""
-        model = self._traced(space, settings.get("dear", False))
+        model = self._traced(space, settings.get("expensive", False))
         return CurveFit(
             model, self.dataset, space, sigma=SIGMA, sigma_known=self._known, **settings
         )
@@ -180,7 +180,7 @@ class Joint:
                     named.setdefault(joint, own)
         return named
 
-    def _traced(self, space: Space, dear: bool) -> Model:
+    def _traced(self, space: Space, expensive: bool) -> Model:
         """The model with functions replaced by formulas where possible, as one formula if it is."""
         named = {parameter.name: parameter for parameter in space.parameters}
         members = []
@@ -189,7 +189,7 @@ class Joint:
             if isinstance(model, FunctionModel):
                 own = zip(model.parameters, part.parameters, strict=True)
                 ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
-                model = examined(model, self.parts[part.name].dataset, ranges, dear)
+                model = examined(model, self.parts[part.name].dataset, ranges, expensive)
             members.append(part._replace(model=model))
         return joined(JointModel(tuple(members)))
 

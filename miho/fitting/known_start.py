@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from miho.fitting.dear_fit import JournalPath
+from miho.fitting.expensive_fit import JournalPath
 from miho.identification.constraints import free_values
 from miho.identification.curve_fit import CurveFit
-from miho.models.leaves import dear_leaves
+from miho.models.leaves import expensive_leaves
 from miho.models.spread import SpreadModel
 from miho.models.tied import Tied
 
@@ -33,7 +33,7 @@ def best_known(problem: CurveFit) -> dict[str, float]:
     The evaluations of `problem` are journaled. Raises ValueError if no configuration in the journal
     satisfies bounds and constraints, and for a model with several parts.
     """
-    leaves = dear_leaves(problem.model)
+    leaves = expensive_leaves(problem.model)
     if len(leaves) != 1 or not isinstance(leaves[0], SpreadModel):
         raise ValueError(
             f"start: expected a single model whose evaluations are journaled, got {problem.name}; "

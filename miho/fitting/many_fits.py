@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.fitting.datasets import Groups, Rows
-from miho.fitting.dear_fit import title
 from miho.fitting.descents import Batch, Ends, descend
+from miho.fitting.expensive_fit import title
 from miho.fitting.machine_fits import MachineFits, checked
 from miho.fitting.search import searched
 from miho.fitting.statement import check_named, data_of, space_of

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from miho.fitting.confirmed import by_calls, check_repeats
-from miho.fitting.dear_fit import (
+from miho.fitting.expensive_fit import (
     JournalPath,
     as_begun,
-    dear_fit,
+    expensive_fit,
     spread,
     title,
 )
@@ -208,18 +208,22 @@ def fit(
 
     first: CurveFit | None = None  # its model has been examined
 
-    def problem_of(bounds: Space, prior_scale: float | None = None, dear: bool = True) -> CurveFit:
+    def problem_of(
+        bounds: Space, prior_scale: float | None = None, expensive: bool = True
+    ) -> CurveFit:
         known = chosen if first is None else first.model.whole
         return CurveFit(
             known, dataset, bounds, rho, sigma=sigma, sigma_known=sigma_known,
-            compiled=compiled, prior_scale=prior_scale, dear=dear,
+            compiled=compiled, prior_scale=prior_scale, expensive=expensive,
         )  # fmt: skip
 
     # If sigma is unknown, the residuals determine the weight of priors.
     settles = has_priors(bounds) and (sigma is None or not sigma_known)
     plain = without_priors(bounds) if settles else bounds
-    first = as_begun(lambda dear: problem_of(plain, dear=dear), journal, evaluation_limit)
-    with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
+    first = as_begun(
+        lambda expensive: problem_of(plain, expensive=expensive), journal, evaluation_limit
+    )
+    with expensive_fit(first, workers, evaluation_limit, journal) as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
             if from_journal:
@@ -281,7 +285,7 @@ def settled(
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
             return replace(fit, run=fit.theta) if fit.descents is None else solved(bounds, scale)
-        problem = replace(fit.problem, prior_scale=scale, dear=True)
+        problem = replace(fit.problem, prior_scale=scale, expensive=True)
         descent = refit(spread(problem, evaluations), fit.theta)
         fit = replace(fit, problem=problem, theta=descent.theta, moving=descent.moving)
     raise ValueError("sigma: its estimate and the weight of the priors do not converge; give sigma")

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from miho.fitting.confirmed import by_calls, check_repeats, compared_at
-from miho.fitting.dear_fit import interrupted, pace_line, spread, title
+from miho.fitting.expensive_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
 from miho.fitting.named import check_budget, method_of
 from miho.identification.curve_fit import CurveFit

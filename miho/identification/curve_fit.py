@@ -27,7 +27,7 @@ from miho.identification.residual_formula import ResidualFormula, residual_formu
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
-from miho.models.leaves import called, dear_leaves, description, spread, tried_calls
+from miho.models.leaves import called, description, expensive_leaves, spread, tried_calls
 from miho.models.model import Model
 from miho.models.traced import Remade, TracedExpression
 from miho.optim.problem import LeastSquaresProblem, mean_square
@@ -100,7 +100,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         Estimate of sigma that weighs the priors, in place of `scale`, if sigma is unknown.
     tied_priors : tuple of Parameter
         Tied parameters with a prior; set from `space`.
-    dear : bool, optional
+    expensive : bool, optional
         Whether the model is known to be expensive; it is then not evaluated to check it.
 
     Raises
@@ -133,13 +133,13 @@ class CurveFit(Remade, LeastSquaresProblem):
     sigma_known: bool = True
     prior_scale: float | None = None
     tied_priors: tuple[Parameter, ...] = ()
-    dear: InitVar[bool] = False
+    expensive: InitVar[bool] = False
 
-    def __post_init__(self, dear: bool) -> None:
+    def __post_init__(self, expensive: bool) -> None:
         model = _model(self.model)
         object.__setattr__(self, "space", with_defaults(self.space, model))
         if isinstance(model, FunctionModel):
-            model = examined(model, self.dataset, self.space, dear)
+            model = examined(model, self.dataset, self.space, expensive)
         if self.space.free is not self.space:
             from miho.models.tied import tie
 
@@ -148,7 +148,7 @@ class CurveFit(Remade, LeastSquaresProblem):
             object.__setattr__(self, "tied_priors", tied)
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "space", self.space.free)
-        check_curve_fit(self, dear)
+        check_curve_fit(self, expensive)
         check_sigma(self)
 
     @property
@@ -389,7 +389,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def _with(self, model: Model) -> CurveFit:
         """This problem with another form of its model; itself if the model is arithmetic."""
-        if not dear_leaves(self.model):
+        if not expensive_leaves(self.model):
             return self
         problem = object.__new__(CurveFit)  # all other attributes and caches stay valid
         known = {key: value for key, value in vars(self).items() if key not in OF_THE_MODEL}

@@ -16,11 +16,11 @@ from miho.data.dataset import Dataset
 from miho.identification.loss import Square
 from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionFormula, FunctionModel
-from miho.models.leaves import dear_leaves
+from miho.models.leaves import expensive_leaves
 from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.models.plain_arithmetic import is_arithmetic
 from miho.optim.space import Parameter, Space
-from miho.parallel.worth import is_dear
+from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -42,18 +42,18 @@ SMALLEST, LARGEST = 1e-140, 1e150
 of squares over all rows then stay within double precision, 1e-308 to 1e308."""
 
 
-def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
+def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     """Raise ValueError for parts that do not fit together; warn about far nominal values.
 
     Mistakes show before a search starts, instead of as losses without a value. The check evaluates
     the model at a few configurations: at a single one if that takes long, and at none if the model
-    is known to be expensive (`dear`).
+    is known to be expensive (`expensive`).
     """
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
     if problem.space.names != tuple(model.parameters):
         raise ValueError(_space_mismatch(model_name, list(model.parameters), problem.space.names))
-    if model.ordered and dataset.held_out is not None and not dear:  # may be unknown yet
+    if model.ordered and dataset.held_out is not None and not expensive:  # may be unknown yet
         raise ValueError(f"{model_name} needs every row in order; expected no held-out rows")
     _ = problem.inputs  # raises for a column that the data lack
 
@@ -69,8 +69,8 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
     _check_output_size(problem)
     if isinstance(model, FunctionFormula):  # which was compared with its function
         _check_values(problem, model_name)
-    elif not dear and not any(
-        isinstance(leaf, FunctionModel) and leaf.tried.dear for leaf in dear_leaves(model)
+    elif not expensive and not any(
+        isinstance(leaf, FunctionModel) and leaf.tried.expensive for leaf in expensive_leaves(model)
     ):
         theta = _usable(problem, model_name)
         if theta is not None:
@@ -99,11 +99,13 @@ def _usable(problem: CurveFit, model_name: str) -> Array | None:
         except Exception as error:  # noqa: BLE001 -- whatever a model raises
             failures.append(error)
             fastest = min(fastest, time.perf_counter() - started)
-            if len(failures) >= TRIALS and is_dear(fastest):
+            if len(failures) >= TRIALS and is_expensive(fastest):
                 return None
             continue
-        long = is_dear(time.perf_counter() - started)
-        own = any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in dear_leaves(model))
+        long = is_expensive(time.perf_counter() - started)
+        own = any(
+            isinstance(leaf, FunctionModel | ExternalModel) for leaf in expensive_leaves(model)
+        )
         if own and long and actual != (1, len(problem.dataset)):
             raise ValueError(
                 f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
@@ -180,11 +182,13 @@ def _check_prior(problem: CurveFit) -> None:
         )
 
 
-def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = False) -> Model:
+def examined(
+    model: FunctionModel, dataset: Dataset, space: Space, expensive: bool = False
+) -> Model:
     """The function as a formula, if both give the same values on the data at some configurations.
 
     Otherwise the function, after trials that find out how it can be called. A function from a file
-    is traced only if its text is plain arithmetic. An expensive (`dear`) function is not called.
+    is traced only if its text is plain arithmetic. A function that is `expensive` is not called.
     """
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
@@ -197,7 +201,7 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = 
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
-    return model if dear else model.tried_at(thetas, *columns)
+    return model if expensive else model.tried_at(thetas, *columns)
 
 
 def _trials_of(model: FunctionModel, space: Space) -> Array:

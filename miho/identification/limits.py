@@ -67,7 +67,7 @@ def along_limits(
         return theta
     # The problem without limits, its cost relative to the start, in shares of the box.
     unlimited = tie(model.model, replace(model.ties, limits={}))
-    cost = _Cost(replace(problem, model=unlimited, compiled=False, dear=True), pin)
+    cost = _Cost(replace(problem, model=unlimited, compiled=False, expensive=True), pin)
     start = cost.value(theta)
     if not start > 0:
         return theta
@@ -126,7 +126,7 @@ def along_sides(problem: CurveFit, theta: Array) -> Array:
         parameters[k] = Parameter(parameters[k].name, "", low, high)
     space = replace(problem.space, parameters=tuple(parameters), radial=None)
     plain = tie(model.model, replace(model.ties, radial=None))
-    cost = _Cost(replace(problem, model=plain, space=space, compiled=False, dear=True), None)
+    cost = _Cost(replace(problem, model=plain, space=space, compiled=False, expensive=True), None)
     first = theta.copy()
     first[places] = radial.points(theta[None, places])[0]
     start, low, width = cost.value(first), space.low, space.high - space.low

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.worth import is_dear
+from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 
 COMPARED, CONFIGURATIONS = 1000, 3
@@ -33,13 +33,13 @@ Columns = Sequence[Array]
 class Calls(NamedTuple):
     """Results of trial calls of a function; None if unknown.
 
-    `batched` and `rowwise` are properties of the function. A `dear` function is too expensive for
-    further trial calls.
+    `batched` and `rowwise` are properties of the function. A function that is `expensive` gets
+    no further trial calls.
     """
 
     batched: bool | None = None
     rowwise: bool | None = None
-    dear: bool = False
+    expensive: bool = False
 
 
 UNTRIED = Calls()
@@ -98,7 +98,7 @@ class FunctionCalls:
             try:
                 return self._alone(thetas[0], columns)[None]
             except ValueError:
-                if not self.takes_numbers and not is_dear(time.perf_counter() - started):
+                if not self.takes_numbers and not is_expensive(time.perf_counter() - started):
                     with contextlib.suppress(ValueError):
                         return self._together(thetas, columns)
                 raise
@@ -113,7 +113,7 @@ class FunctionCalls:
             except ValueError as error:
                 failure = error
         # The fastest call counts, because the first one may load or compile something.
-        if not seconds or not is_dear(min(seconds)):
+        if not seconds or not is_expensive(min(seconds)):
             with contextlib.suppress(ValueError):
                 together = self._together(thetas, columns)
                 if alike(alone[worked], together[: len(alone)][worked]):
@@ -184,18 +184,18 @@ def tried_rowwise(
         started = time.perf_counter()
         among_all = _or_none(predict, theta, columns)
         took = time.perf_counter() - started
-        long += is_dear(took)
+        long += is_expensive(took)
         seconds = min(took, seconds)  # the first call may load or compile something
         if among_all is None or not rows.size or not np.isfinite(among_all[:, rows]).any():
             continue  # nothing to compare
         started = time.perf_counter()
         alone = _or_none(predict, theta, part)
-        if is_dear(min(took, time.perf_counter() - started)):
+        if is_expensive(min(took, time.perf_counter() - started)):
             return None, True
         if alone is None or not alike(among_all[:, rows], alone):
-            return False, is_dear(seconds)
+            return False, is_expensive(seconds)
         compared += 1
-    return compared > 0 or None, is_dear(seconds)
+    return compared > 0 or None, is_expensive(seconds)
 
 
 def _or_none(predict: Callable[..., Array], theta: Array, columns: Columns) -> Array | None:

@@ -229,7 +229,7 @@ class FunctionModel(DifferencedModel):
         batched = self._calls.batched
         if batched is None and self._calls.takes_numbers:
             batched = False
-        return replace(self, tried=Calls(batched, rowwise, dear=long and rowwise is None))
+        return replace(self, tried=Calls(batched, rowwise, expensive=long and rowwise is None))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Return the outputs (n, N) of parameter rows (n, d) at input columns (N,)."""

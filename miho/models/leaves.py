@@ -22,7 +22,7 @@ DIGITS = 16
 """Length of the digests that identify a journal."""
 
 
-def dear_leaves(model: Model) -> list[Model]:
+def expensive_leaves(model: Model) -> list[Model]:
     """Return the components of a model that may be expensive, in their order."""
     leaves = list[Model]()
 
@@ -43,7 +43,7 @@ def spread(
     """
     from miho.models.spread import SpreadModel
 
-    count, of_leaf = itertools.count(), losses if len(dear_leaves(model)) == 1 else None
+    count, of_leaf = itertools.count(), losses if len(expensive_leaves(model)) == 1 else None
     return model.with_leaves(
         lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}", of_leaf)
     )
@@ -51,7 +51,7 @@ def spread(
 
 def tried_calls(model: Model) -> list[list[bool | None]]:
     """Return the results of trial calls (`Calls`) of each leaf, [] unless it is a function."""
-    leaves = dear_leaves(model)
+    leaves = expensive_leaves(model)
     return [list(leaf.tried) if isinstance(leaf, FunctionModel) else [] for leaf in leaves]
 
 
@@ -79,6 +79,6 @@ def description(model: Model, columns: Sequence[Array]) -> str:
         replace(leaf, batched=None, rowwise=None, tried=UNTRIED)
         if isinstance(leaf, FunctionModel)
         else leaf
-        for leaf in dear_leaves(model)
+        for leaf in expensive_leaves(model)
     ]
     return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"

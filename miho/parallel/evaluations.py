@@ -26,7 +26,7 @@ from miho.parallel.process_executor import HungError, OverdueError, WorkersGoneE
 from miho.parallel.remote import Answer, Raised
 from miho.parallel.rows import ByRows, Rows, as_array
 from miho.parallel.usage import Usage
-from miho.parallel.worth import Worth, is_dear
+from miho.parallel.worth import Worth, is_expensive
 
 Array = NDArray[np.float64]
 Send = Callable[[Array], Future[Answer]]
@@ -215,7 +215,7 @@ class Evaluations:
         while todo and not self.worth.measured:
             self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
-            journaled = self._journal is not None and self.worth.dear
+            journaled = self._journal is not None and self.worth.expensive
             if len(todo) == len(keys) and not journaled:  # as without workers and journal
                 return self._evaluate_at_once(task, thetas)
             self._evaluate_here(task, keys, thetas, todo)
@@ -323,7 +323,7 @@ class Evaluations:
         if self._journal is None or future.cancelled() or future.exception() is not None:
             return
         answer = future.result()
-        if not is_dear(answer.seconds, len(keys)):
+        if not is_expensive(answer.seconds, len(keys)):
             return
         values = answer.value if answer.raised is None else [answer.raised] * len(keys)
         for key, value in zip(keys, values, strict=True):
@@ -397,7 +397,7 @@ class Evaluations:
     def _keep(self, key: Key, value: Array | Raised, seconds: float) -> None:
         """Store a value that was evaluated here in `seconds`."""
         self._here[key] = value
-        if self._journal is not None and is_dear(seconds) and _is_the_models(value):
+        if self._journal is not None and is_expensive(seconds) and _is_the_models(value):
             with self._arrivals:
                 self._journal.add(key, value)
 

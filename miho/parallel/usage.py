@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-DEAR = 0.01
+EXPENSIVE = 0.01
 """Seconds from which an evaluation counts as expensive: it is written to the journal, and no
 evaluation is made speculatively."""
 
@@ -89,7 +89,8 @@ class Usage:
         if self.workers == 1 or self.each is None:
             return ""
         alone = ", so one at a time" if self.at_a_time == 1 else ""
-        return f": too {'few' if self.each >= DEAR else 'short'} for {self.workers} workers{alone}"
+        fault = "few" if self.each >= EXPENSIVE else "short"
+        return f": too {fault} for {self.workers} workers{alone}"
 
 
 def span(seconds: float) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.usage import DEAR, Usage
+from miho.parallel.usage import EXPENSIVE, Usage
 
 Array = NDArray[np.float64]
 
@@ -32,9 +32,9 @@ IN_A_ROW, AGAIN = 2, 10
 shorter one requires so many more (AGAIN), since other programs may delay any evaluation."""
 
 
-def is_dear(seconds: float, evaluations: float = 1) -> bool:
+def is_expensive(seconds: float, evaluations: float = 1) -> bool:
     """Return whether evaluations that took so long together are expensive."""
-    return seconds >= DEAR * evaluations
+    return seconds >= EXPENSIVE * evaluations
 
 
 class Worth:
@@ -52,7 +52,9 @@ class Worth:
     def measured(self) -> bool:
         """Whether it is known how long an evaluation takes, and so whether workers make them."""
         each = self._usage.each
-        return self.limited or (each is not None and (is_dear(each) or self._usage.here >= FIRST))
+        return self.limited or (
+            each is not None and (is_expensive(each) or self._usage.here >= FIRST)
+        )
 
     @property
     def short(self) -> bool:
@@ -65,9 +67,9 @@ class Worth:
         return self.limited or self._long >= IN_A_ROW
 
     @property
-    def dear(self) -> bool:
+    def expensive(self) -> bool:
         """Whether evaluations are known to be expensive, so that a journal keeps them."""
-        return is_dear(self._usage.each or 0.0)
+        return is_expensive(self._usage.each or 0.0)
 
     def chunk(self, rows: int, *, at_once: bool) -> int:
         """Number of rows in each message to a worker, 0 if all rows are evaluated here.
@@ -103,7 +105,7 @@ class Worth:
 
     def count(self, each: float, rows: int, *, here: bool, raised: bool = False) -> None:
         """Count rows that took `each` seconds, `here` or by a worker."""
-        usage, quick = self._usage, raised and not is_dear(each)
+        usage, quick = self._usage, raised and not is_expensive(each)
         if not quick:
             self._long = self._long + 1 if each >= ALONE else -AGAIN
         if quick:  # a quick error says nothing about the duration of a value

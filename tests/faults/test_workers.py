@@ -20,7 +20,7 @@ from miho.optim import Budget, Outcome, RandomSearch, RunRecord, minimize
 from tests.faults.commands import CHECKOUT, alive, descendants, forked
 from tests.faults.conftest import Figures
 from tests.faults.worker_models import POLL, Failing, logged
-from tests.parallel.dear import same
+from tests.parallel.expensive import same
 
 WORKERS, BUDGET, PATIENCE, ALLOWED = 4, Budget(evaluations=80), 60.0, 5.0
 LONG = 600.0

@@ -24,7 +24,7 @@ t = np.linspace(0, 2, 50)
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     """All calls count as cheap, however busy the machine is."""
-    monkeypatch.setattr(worth, "DEAR", math.inf)
+    monkeypatch.setattr(worth, "EXPENSIVE", math.inf)
 
 
 def model(function: Callable[..., Any], **settings: Any) -> FunctionModel:
@@ -95,8 +95,8 @@ def test_one_that_broadcasts_is_compared_once_and_then_called_once() -> None:
     assert shapes == [()] * function_calls.TRIED + [(300, 1)]
 
 
-def test_a_dear_function_is_never_called_to_compare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worth, "DEAR", 0.0)
+def test_a_expensive_function_is_never_called_to_compare(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
     shapes = []
 
     def decay(t, a, b):
@@ -205,31 +205,31 @@ def test_to_know_that_a_function_needs_all_rows_takes_two_calls() -> None:
 
 
 @pytest.mark.parametrize("function", [bessel, failing])
-def test_a_dear_function_is_tried_twice_at_most(
+def test_a_expensive_function_is_tried_twice_at_most(
     monkeypatch: pytest.MonkeyPatch, function: Callable[..., Any]
 ) -> None:
-    monkeypatch.setattr(worth, "DEAR", 0.0)
+    monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
     calls = []
 
     def counted(t, a, b):
         calls.append(a)
         return function(t, a, b)
 
-    dear = model(counted).tried_at(THETAS, t)
-    assert dear.ordered
+    expensive = model(counted).tried_at(THETAS, t)
+    assert expensive.ordered
     assert len(calls) == 2
 
 
-def test_a_dear_function_of_arrays_alone_gets_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_expensive_function_of_arrays_alone_gets_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     """It fails at once for numbers, and takes long for arrays."""
     latest = []
 
-    def dear(t, a, b):
+    def expensive(t, a, b):
         latest[:] = [isinstance(a, np.ndarray)]
         return a * np.exp(-b * t) + np.zeros(a.shape)
 
-    monkeypatch.setattr(function_calls, "is_dear", lambda *_: latest[0])
-    tried = model(dear).tried_at(THETAS, t)
+    monkeypatch.setattr(function_calls, "is_expensive", lambda *_: latest[0])
+    tried = model(expensive).tried_at(THETAS, t)
     expected = THETAS[:, :1] * np.exp(-THETAS[:, 1:] * t)
     assert np.array_equal(tried.predict(THETAS, t), expected)
 

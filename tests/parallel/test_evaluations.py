@@ -39,7 +39,7 @@ from miho.optim import (
 from miho.optim.spread import spread_problem
 from miho.parallel import Evaluations, NoWorkersLeft, evaluations, open_pool
 from miho.parallel.process_executor import WorkerLostError
-from tests.parallel.dear import (
+from tests.parallel.expensive import (
     LIMIT,
     OUTPUT,
     SPACE,
@@ -165,7 +165,7 @@ MODELS: dict[str, tuple[Model, tuple[Array, ...], list[list[float]]]] = {
 
 
 @pytest.mark.parametrize("kind", MODELS)
-def test_models_of_dear_leaves_give_the_same_by_workers(kind: str) -> None:
+def test_models_of_expensive_leaves_give_the_same_by_workers(kind: str) -> None:
     model, inputs, rows = MODELS[kind]
     with ThreadPoolExecutor(2) as threads, open_pool(threads) as pool:
         spread = Evaluations(pool, limited=True)
@@ -185,7 +185,7 @@ def test_models_of_dear_leaves_give_the_same_by_workers(kind: str) -> None:
         assert spread.usage.evaluations > 0
 
 
-def test_tied_and_fixed_parameters_of_a_dear_model() -> None:
+def test_tied_and_fixed_parameters_of_a_expensive_model() -> None:
     space = Space((Parameter("a", "", tied="4 * b"), Parameter("b", "", 0.1, 5.0)))
     problem = decay_fit()
     problem = replace(problem, space=space)

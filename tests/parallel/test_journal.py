@@ -253,12 +253,12 @@ def test_where_it_cannot_be_written_the_run_goes_on(
     journal.close()
 
 
-def test_only_what_is_dear_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dear is what takes longer than nothing, or nothing at all."""
+def test_only_what_is_expensive_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expensive is what takes longer than nothing, or nothing at all."""
     rows = np.arange(6.0).reshape(3, 2)
-    for dear, count in ((0.0, 3), (np.inf, 0)):
-        monkeypatch.setattr("miho.parallel.worth.DEAR", dear)
-        journal = Journal(tmp_path / f"journal-{dear}", Named())
+    for expensive, count in ((0.0, 3), (np.inf, 0)):
+        monkeypatch.setattr("miho.parallel.worth.EXPENSIVE", expensive)
+        journal = Journal(tmp_path / f"journal-{expensive}", Named())
         evaluated = Evaluations(None, journal).function("sum", lambda thetas: thetas.sum(axis=1))
         assert evaluated(rows).tolist() == [1.0, 5.0, 9.0]
         assert len(journal) == count

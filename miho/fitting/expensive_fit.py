@@ -15,7 +15,7 @@ from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
 from miho.parallel.errors import NoWorkersLeft
 from miho.parallel.usage import span
-from miho.parallel.worth import is_dear
+from miho.parallel.worth import is_expensive
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluations, Workers
@@ -43,7 +43,7 @@ def as_begun(
 
 
 @contextmanager
-def dear_fit(
+def expensive_fit(
     problem: CurveFit,
     workers: Workers = None,
     evaluation_limit: float | None = None,
@@ -120,7 +120,7 @@ def pace_line(
 def interrupted(run: RunRecord) -> KeyboardInterrupt:
     """The exception for a search that was interrupted by Ctrl-C."""
     each = run.seconds / max(1.0, run.evaluations)
-    if not is_dear(each):
+    if not is_expensive(each):
         return KeyboardInterrupt("the search was interrupted")
     return KeyboardInterrupt(
         f"the search was interrupted; an evaluation takes {span(each)}: with journal='FILE' none "

@@ -1,4 +1,4 @@
-"""Fits of dear models: workers, journals, and what an interrupt leaves."""
+"""Fits of expensive models: workers, journals, and what an interrupt leaves."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ class Counted:
 
 
 @pytest.fixture
-def dear(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every evaluation counts as dear, however long it takes."""
-    monkeypatch.setattr(worth, "DEAR", 0.0)
+def expensive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every evaluation counts as expensive, however long it takes."""
+    monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
     monkeypatch.setattr(worth, "LEAST", 0.0)
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_the_same_call_evaluates_nothing_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,11 +72,11 @@ def test_the_same_call_evaluates_nothing_again(
     assert "evaluations of an earlier call" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_who_goes_on_calls_a_function_as_it_was_called_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was quick when it was tried, and known to be row by row, and has become dear since."""
+    """Quick when it was tried, and known to be row by row, it has become expensive since."""
     x, calls = np.linspace(0, 2, 300), list[int]()
     measured = j0(2 * x) + 0.01 * np.sin(9 * x)
 
@@ -89,7 +89,7 @@ def test_who_goes_on_calls_a_function_as_it_was_called_before(
         path = tmp_path / name
         return miho.fit(bessel, x, measured, BOX, budget=BUDGET, journal=path).run.tobytes()
 
-    tried_from = partial(monkeypatch.setattr, function_calls, "is_dear")
+    tried_from = partial(monkeypatch.setattr, function_calls, "is_expensive")
     tried_from(lambda *_: False)
     first = fitted("journal")
     assert min(calls) < x.size // 2
@@ -101,7 +101,7 @@ def test_who_goes_on_calls_a_function_as_it_was_called_before(
     assert set(calls[2:]) == {x.size}
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_other_bounds_use_a_journal_and_other_data_do_not(tmp_path: Path) -> None:
     path = tmp_path / "journal"
     miho.fit(Counted().model, t, y, start={"a": 1, "b": 1}, journal=path)
@@ -115,7 +115,7 @@ def test_other_bounds_use_a_journal_and_other_data_do_not(tmp_path: Path) -> Non
         miho.fit(Counted().model, t, y + 1, start={"a": 1, "b": 1}, journal=path)
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_a_descent_starts_from_the_best_of_what_another_method_evaluated(tmp_path: Path) -> None:
     path, searched, alone, descended = tmp_path / "journal", Counted(), Counted(), Counted()
     method = miho.optim.RandomSearch()
@@ -133,7 +133,7 @@ def test_a_descent_starts_from_the_best_of_what_another_method_evaluated(tmp_pat
         miho.fit(fixed.model, t, y, BOX, start="journal")
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_an_interrupt_tells_what_is_kept_and_the_same_call_goes_on(tmp_path: Path) -> None:
     stop = [30]
 
@@ -152,7 +152,7 @@ def test_an_interrupt_tells_what_is_kept_and_the_same_call_goes_on(tmp_path: Pat
     assert len(again.calls) <= len(plain.calls) - 30 + 1 + CHECKED
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_an_interrupt_without_a_journal_tells_of_it() -> None:
     def interrupt(count: int) -> None:
         if count == 30:
@@ -163,7 +163,7 @@ def test_an_interrupt_without_a_journal_tells_of_it() -> None:
         miho.fit(Counted(interrupt).model, t, y, BOX, budget=BUDGET)
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_priors_are_settled_within_one_journal(tmp_path: Path) -> None:
     space = {"a": {"low": 0, "high": 5, "prior": (2.0, 0.1)}, "b": (0.01, 10)}
     first, again = Counted(), Counted()
@@ -174,7 +174,7 @@ def test_priors_are_settled_within_one_journal(tmp_path: Path) -> None:
     assert one.theta.tobytes() == two.theta.tobytes()
 
 
-@pytest.mark.usefixtures("dear")
+@pytest.mark.usefixtures("expensive")
 def test_joint_fits_have_a_journal_too(tmp_path: Path) -> None:
     first, again = Counted(), Counted()
     results = [
