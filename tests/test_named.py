@@ -88,7 +88,10 @@ def test_a_long_search_says_that_it_is_alive(
     data = miho.Dataset("d", {"t": t, "y": y}, {"t": "", "y": ""}, "y")
     problem = CurveFit(lambda t, *, a, b: a + b * t, data, space, compiled=False)
     oracle: Any = SimpleNamespace(
-        evaluations=5, meter=SimpleNamespace(seconds=2.0), usage=None, busy=0, best=np.inf
+        evaluations=5,
+        meter=SimpleNamespace(seconds=2.0),
+        workers=SimpleNamespace(usage=None, busy=0),
+        best=np.inf,
     )
     observe = pace_line(problem, DifferentialEvolution(), None)
     observe(oracle)

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.models.joint import PART, parts_of
+from miho.models.joint import parts_of
+from miho.models.layout import PART
 from miho.models.model import Model
 from miho.models.tied import Tied
 from miho.optim.space import Parameter, Space

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from miho.models.identified import Identified, Value
-from miho.models.tied import Tied, whole_model
+from miho.models.tied import Tied
 from miho.online.outputs import Output, System
 from miho.online.state import TrackerState
 from miho.quantities import Array
@@ -18,7 +18,7 @@ def present_parameters(
     places = [system.names.index(name) for name in output.parameters]
     theta, ends = state.theta[places], state.intervals(level)[places]
     covariance = state.scale**2 * state.covariance[np.ix_(places, places)]
-    model = whole_model(output.model)
+    model = output.model.whole
     if isinstance(output.model, Tied):
         theta, covariance, ends = _tied(output.model, theta, covariance, ends)
     errors = np.sqrt(np.diag(covariance))

@@ -14,7 +14,9 @@ from miho.parallel.usage import Usage
 
 def oracle(evaluations: float, seconds: float, usage: Usage | None = None) -> Any:
     meter = SimpleNamespace(seconds=seconds)
-    return SimpleNamespace(evaluations=evaluations, meter=meter, usage=usage, busy=3)
+    return SimpleNamespace(
+        evaluations=evaluations, meter=meter, workers=SimpleNamespace(usage=usage, busy=3)
+    )
 
 
 @pytest.fixture
