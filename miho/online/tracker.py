@@ -80,13 +80,13 @@ class TrackerSettings(OnlineMethod):
         If a setting is out of its range.
     """
 
-    hazard: float = 6e-4
+    hazard: float = 8e-4
     outliers: float = 0.02
     width: float = 400.0
     threshold: float = 3.0
     near: float = 1 / 7
-    drifts: tuple[float, float, float] = (0.002, 0.15, 0.43)
-    use: float = 0.3
+    drifts: tuple[float, float, float] = (0.0015, 0.15, 0.43)
+    use: float = 0.27
     smooth: float = 2.0
     hold: float = 1.5
     repeats: int = 2
