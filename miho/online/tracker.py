@@ -85,7 +85,7 @@ class TrackerSettings(OnlineMethod):
     width: float = 400.0
     threshold: float = 3.0
     near: float = 1 / 7
-    drifts: tuple[float, float, float] = (0.0015, 0.15, 0.43)
+    drifts: tuple[float, float, float] = (0.002, 0.15, 0.43)
     use: float = 0.27
     smooth: float = 2.0
     hold: float = 1.5
