@@ -36,7 +36,7 @@ SETTINGS = {
     "online.changes, .names": "parameters that may jump, by which share; their names in alarms",
     "online.input_noise": "standard deviations of the noise of inputs, such as '{alpha: 0.0005}'",
     "online.period": "time between rows without a column time [s]",
-    "online.resume": "continue with the state that the last session left in root",
+    "online.resume": "continue after the rows of the last session in root",
     "root": "folder of states, parameters, informative rows and page",
 }
 

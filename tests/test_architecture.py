@@ -131,7 +131,6 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
             "miho.vehicle.models",
             "miho.data",
             "miho.identification",
-            "miho.vehicle.models",
         },
         {"numpy"},
     ),

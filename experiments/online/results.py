@@ -1,14 +1,13 @@
-"""Files after a session: parameters, informative rows, the tracker itself, figure and page."""
+"""Files after a session: parameters, informative rows, figure and page."""
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from experiments.online.session import STATE, STATES
+from experiments.online.session import STATES
 from miho.analysis.figures.house import png
 from miho.analysis.figures.tracking import states_figure
 from miho.analysis.pages.html import PAGE
@@ -16,9 +15,9 @@ from miho.analysis.pages.run import PARAMETERS, Section, page
 from miho.analysis.text import csv_text, significant
 from miho.models.identified import parameters_text
 from miho.online import Alarm, Running, Tracker
-from miho.study import write_bytes, write_text
+from miho.study import write_text
 
-ROWS = "informative_rows.csv"
+INFORMATIVE = "informative_rows.csv"
 MOST = 20_000
 """Largest number of states in the figure."""
 
@@ -28,8 +27,6 @@ def write_session(
 ) -> list[Path]:
     """Write what follows from the states so far, and return the paths."""
     written = [root / STATES]
-    write_bytes(root / STATE, pickle.dumps(running))
-    written.append(root / STATE)
     if isinstance(running, Tracker):
         write_text(root / PARAMETERS, parameters_text(running.parameters(), {}))
         written.append(root / PARAMETERS)
@@ -38,8 +35,8 @@ def write_session(
         except ValueError:  # no row has informed a parameter yet
             rows = None
         if rows is not None:
-            write_text(root / ROWS, csv_text(pd.DataFrame(dict(rows.columns))))
-            written.append(root / ROWS)
+            write_text(root / INFORMATIVE, csv_text(pd.DataFrame(dict(rows.columns))))
+            written.append(root / INFORMATIVE)
     states = pd.read_csv(root / STATES)
     if len(states) > 1:
         write_text(root / PAGE, session_page(states, alarms, words, title))

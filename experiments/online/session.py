@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import pickle
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,14 +14,14 @@ from experiments.online.live import LiveView
 from experiments.online.sources import Source, parsed
 from miho.online import Alarm, Running, TrackerState
 
-STATES, STATE, EARLIER = "states.csv", "tracker.pickle", "states.earlier.csv"
+STATES, ROWS = "states.csv", "rows.jsonl"
 FLUSHED = 0.5
 """Seconds after which written states are on the disk."""
 
 
 @dataclass
 class Session:
-    """A run of a method on a source, with its states in `root`/states.csv.
+    """A run of a method on a source, with its rows and states in files of `root`.
 
     Parameters
     ----------
@@ -53,8 +52,10 @@ class Session:
     def run(self, source: Source) -> None:
         """Take all rows of the source; a bad row is answered by its error and does not count."""
         self.root.mkdir(parents=True, exist_ok=True)
-        path = self.root / STATES
-        with path.open("a", encoding="utf-8", newline="") as file:
+        with (
+            (self.root / STATES).open("a", encoding="utf-8", newline="") as file,
+            (self.root / ROWS).open("a", encoding="utf-8", newline="") as kept,
+        ):
             written = time.monotonic()
             for row in source.rows():
                 try:
@@ -73,8 +74,10 @@ class Session:
                 if self.view is not None:
                     self.view.show(state, [in_words(alarm, self.words) for alarm in self.alarms])
                 self._write(file, state)
+                kept.write(json.dumps(values) + "\n")
                 if time.monotonic() - written > FLUSHED:
                     file.flush()
+                    kept.flush()
                     written = time.monotonic()
 
     def _write(self, file: TextIO, state: TrackerState) -> None:
@@ -121,12 +124,11 @@ def in_words(alarm: Alarm, words: Mapping[str, str]) -> str:
     return str(alarm.with_names(lambda name: words.get(name, name.replace("_", " "))))
 
 
-def resumed(path: Path) -> Running:
-    """Return the method as a session left it.
-
-    A pickle can run code, so only a file of one's own session may be resumed.
-    """
-    running = pickle.loads(path.read_bytes())  # noqa: S301 - the user names a file of their own
-    if not isinstance(running, Running):
-        raise ValueError(f"{path}: is a {type(running).__name__}; expected the state of a session")
-    return running
+def replay(running: Running, path: Path) -> None:
+    """Update the method with the rows of an earlier session, as that session did."""
+    with path.open(encoding="utf-8") as file:
+        for number, line in enumerate(file, 1):
+            try:
+                running.update(json.loads(line))
+            except (ValueError, TypeError) as error:
+                raise ValueError(f"{path}, line {number}: {error}") from None

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from baselines.online import Stream
 from experiments.app.build import ConfigError, build_problem
 from experiments.app.instantiation import instantiate
-from experiments.online.session import EARLIER, STATE, STATES, resumed
+from experiments.online.session import ROWS, STATES, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, Synthetic
 from miho.data import Dataset
 from miho.fitting.search import searched
@@ -86,16 +86,24 @@ def _split(problem: CurveFit, learn: float, period: float) -> tuple[CurveFit, Da
 
 
 def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
-    """Return the run of the method, from the start or as the last session left it."""
-    if cfg.online.resume:
-        return resumed(root / STATE)
+    """Return the run of the method, from the start or after the rows of the last session.
+
+    Without `online.resume` the files of an earlier session are kept under other names.
+    """
     method = instantiate(_node(cfg, "tracker"), "tracker", OnlineMethod)
-    if (root / STATES).exists():
-        (root / STATES).replace(root / EARLIER)
+    earlier = [path for path in (root / STATES, root / ROWS) if path.exists()]
+    if cfg.online.resume and root / ROWS not in earlier:
+        raise ConfigError(f"online.resume: {root / ROWS} is missing; expected it of a session")
     try:
-        return method.start(
+        running = method.start(
             task.problems, task.prior, task.changes, task.input_noise, cfg.online.period
         )
+        if cfg.online.resume:
+            replay(running, root / ROWS)
+            return running
+        for path in earlier:
+            path.replace(path.with_stem(f"{path.stem}.earlier"))
+        return running
     except ValueError as error:
         raise ConfigError(f"online: {error}") from None
 

@@ -18,7 +18,7 @@ import pytest
 
 import miho
 from experiments.online.results import write_session
-from experiments.online.session import Session, resumed
+from experiments.online.session import Session, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
 from miho.models import FunctionModel
 from miho.online import Tracker
@@ -89,7 +89,8 @@ def test_a_session_can_be_resumed_to_the_last_bit(tmp_path: Path) -> None:
     session.run(Answered("\n".join(json.dumps(row) for row in rows()[: N // 2])))
     paths = write_session(tmp_path, half, session.alarms, [], "a line")
     assert {path.name for path in paths} >= {"states.csv", "report.html", "parameters.json"}
-    again = resumed(tmp_path / "tracker.pickle")
+    again = tracker()
+    replay(again, tmp_path / "rows.jsonl")
     Session(again, ("x", "y"), tmp_path, quiet=True).run(
         Answered("\n".join(json.dumps(row) for row in rows()[N // 2 :]))
     )
