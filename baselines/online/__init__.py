@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from baselines.online.alarms import ChangePointAlarm, LevelAlarm, ModeAlarm
     from baselines.online.bank import Bank
     from baselines.online.bicycle import bicycle
-    from baselines.online.extended_kalman import ExtendedKalman
+    from baselines.online.extended_kalman import ExtendedKalman, change_point_filter
     from baselines.online.interacting_models import InteractingModels
     from baselines.online.longitudinal import longitudinal
     from baselines.online.particles import Particles
@@ -30,6 +30,7 @@ __all__ = [
     "UnscentedKalman",
     "WindowedLeastSquares",
     "bicycle",
+    "change_point_filter",
     "longitudinal",
     "tire",
 ]

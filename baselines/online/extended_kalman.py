@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines.online.alarms import Detector, LevelAlarm
+from baselines.online.alarms import ChangePointAlarm, Detector, LevelAlarm
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
+from miho.online import OnlineMethod
 from miho.quantities import Array
 
 
@@ -44,6 +45,26 @@ class ExtendedKalman(PeerMethod):
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
         return _ExtendedKalmanRun(setup, self)
+
+
+def change_point_filter(
+    drift: float = 0.01, drift_of_others: float = 0.01, threshold: float = 3.0, hold: float = 1.5
+) -> OnlineMethod:
+    """Return an extended Kalman filter that a Bayesian change point resets.
+
+    Parameters
+    ----------
+    drift, drift_of_others : float, optional
+        As for `ExtendedKalman`.
+    threshold, hold : float, optional
+        As for `ChangePointAlarm`.
+
+    Returns
+    -------
+    ExtendedKalman
+        The filter.
+    """
+    return ExtendedKalman(drift, drift_of_others, True, ChangePointAlarm(threshold, hold=hold))
 
 
 class _ExtendedKalmanRun(Peer):

@@ -127,7 +127,7 @@ def tire(
     Examples
     --------
     >>> stream = tire("jump", seed=1)
-    >>> len(stream), round(stream.truth["D"][-1] / stream.truth["D"][0], 2)
+    >>> len(stream), round(float(stream.truth["D"][-1] / stream.truth["D"][0]), 2)
     (3000, 0.65)
     """
     one_of("kind", kind, KINDS)

@@ -22,6 +22,7 @@ from baselines.online import (
     RecursiveLeastSquares,
     UnscentedKalman,
     WindowedLeastSquares,
+    change_point_filter,
 )
 from baselines.online.alarms import Detector
 from miho.online import OnlineMethod, TrackerSettings
@@ -83,11 +84,6 @@ def batch(huber: float) -> WindowedLeastSquares:
     return WindowedLeastSquares(None, 20, huber, every=50)
 
 
-def reset(drift: float, drift_of_others: float) -> ExtendedKalman:
-    """Return an extended Kalman filter that Bayesian change points reset."""
-    return ExtendedKalman(drift, drift_of_others, True, ChangePointAlarm(3.0, hold=1.5))
-
-
 def robust_reset(drift: float, drift_of_others: float) -> InteractingModels:
     """Return an extended Kalman filter with the tracker's guards that change points reset."""
     alarm = ChangePointAlarm(3.0, hold=1.5, outliers=0.02)
@@ -119,7 +115,7 @@ CONTENDERS: dict[str, Contender] = {
         (LEVEL, ROBUST_POINTS),
     ),
     "ekf_reset": Contender(
-        reset, {"drift": 0.01, "drift_of_others": 0.01},
+        change_point_filter, {"drift": 0.01, "drift_of_others": 0.01},
         {"drift": (0.001, 0.003, 0.01, 0.03), "drift_of_others": (0.01, 0.03, 0.1)},
     ),
     "ekf": Contender(ExtendedKalman, {"drift": 0.01, "drift_of_others": 0.01}, WALK),

@@ -185,7 +185,7 @@ def _rows(peer: Peer, streams: Sequence[Stream]) -> tuple[Array, Array, Array]:
 
 def _record(method: OnlineMethod, stream: Stream, every: int) -> Record:
     run = method.start(**arguments(stream))
-    rows = list(stream) if every == 1 else _pieces(stream, every)
+    rows: list[Any] = list(stream) if every == 1 else _pieces(stream, every)
     names = list(stream.changes)
     theta, reach = np.empty((len(rows), len(names))), np.empty((len(rows), len(names)))
     at = np.minimum(every * np.arange(1, len(rows) + 1), len(stream)) - 1
