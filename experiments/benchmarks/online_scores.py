@@ -18,7 +18,7 @@ from experiments.benchmarks.online_methods import Contender, detectors
 from experiments.benchmarks.online_records import Record, records, seconds_of_row
 from miho.online import OnlineMethod
 
-TUNING, CALIBRATION, TEST, STRAIGHTS, HOURS = 1000, 5000, 20_000, 21_000, 30_000
+TUNING, CALIBRATION, TEST, STRAIGHTS, HOURS = 1000, 5000, 60_000, 61_000, 70_000
 """First seeds of the sets of streams."""
 FAULTS = ("nan", "dropout", "missing", "frozen", "time")
 LONGITUDINAL = ("mass", "brake_gain", "drag")
