@@ -23,7 +23,7 @@ from experiments.app.forecast import announce
 from experiments.app.plan import request_of, requests, sweep_settings
 from experiments.app.run_text import print_summary, result_text
 from experiments.app.runs import HERE, run
-from miho.identification.printed import for_terminal
+from miho.identification.line_wrapping import for_terminal
 from miho.study import Status
 
 SETTINGS = {

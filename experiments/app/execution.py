@@ -12,7 +12,7 @@ from typing import Any
 
 from experiments.app.build import Experiment
 from experiments.app.progress import Observer, progress
-from miho.identification.printed import with_unit
+from miho.identification.line_wrapping import with_unit
 from miho.optim import RunRecord, minimize
 from miho.parallel import Journal, JournalError, UncheckedJournalError, calls_of
 from miho.parallel.usage import Usage

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from tqdm import tqdm
 
-from miho.identification.printed import with_unit
+from miho.identification.line_wrapping import with_unit
 from miho.optim import Budget, Oracle
 from miho.optim.pace import Pace
 

@@ -32,7 +32,7 @@ from miho.analysis.pages.sweep import Best, save_sweep_page
 from miho.analysis.pages.sweep_contents import Configured, best_runs
 from miho.analysis.pages.sweep_runs import Sweep
 from miho.identification import Report
-from miho.identification.printed import for_terminal
+from miho.identification.line_wrapping import for_terminal
 from miho.identification.stated import marked
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of

@@ -16,9 +16,9 @@ from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
 from experiments.app.working import State
 from miho.identification import Square, linear_optimum
-from miho.identification.printed import with_unit
-from miho.identification.standing import kind_of
+from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import marked
+from miho.identification.statement import kind_of
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, agreement, in_optimum
 from miho.parallel.usage import Usage

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.fitting.statement import inputs_of
+from miho.fitting.arguments import inputs_of
 from miho.models.model import Model
 from miho.quantities import Array
 

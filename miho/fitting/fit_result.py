@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from miho.fitting.arguments import inputs_of
 from miho.fitting.protocols import Signed, Writable
-from miho.fitting.statement import inputs_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit
 from miho.models.traced import Remade
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from miho.identification.report import Report
-    from miho.identification.standing import Standing
+    from miho.identification.statement import Standing
     from miho.identification.uncertainty import Linearised
 
 SAME = 1e-9
@@ -408,7 +408,7 @@ class Fit(Remade):
 
     def __str__(self) -> str:
         """The parameters, the error, the evidence for the optimum, and the caveats."""
-        from miho.identification.printed import wrapped
+        from miho.identification.line_wrapping import wrapped
 
         table, lines = self._printed()
         return "\n".join([table, *map(wrapped, lines)])

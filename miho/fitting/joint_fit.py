@@ -9,12 +9,12 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import numpy as np
 
 from miho.data.dataset import Dataset
+from miho.fitting.arguments import FAR, data_of
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_fit import without_priors
 from miho.fitting.search import searched
-from miho.fitting.statement import FAR, data_of
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from miho.fitting.arguments import DENSE, check_named, data_of, space_of
 from miho.fitting.confirmed import by_calls, check_repeats
 from miho.fitting.expensive_fit import (
     JournalPath,
@@ -22,7 +23,6 @@ from miho.fitting.fit_result import Fit
 from miho.fitting.named import check_budget, loss_of, method_of
 from miho.fitting.protocols import Template, model_of_file
 from miho.fitting.search import searched
-from miho.fitting.statement import DENSE, check_named, data_of, space_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import ties_of
 from miho.identification.loss import Loss

@@ -25,7 +25,7 @@ from miho.identification.derived import derived, gradient
 from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
 from miho.identification.inverse_root import inverse_root
-from miho.identification.printed import wrapped
+from miho.identification.line_wrapping import wrapped
 from miho.identification.report import Report, rounding_of
 from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
 from miho.identification.uncertainty import Linearised

@@ -19,8 +19,8 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import independence
+from miho.identification.line_wrapping import wrapped
 from miho.identification.loss import Square
-from miho.identification.printed import wrapped
 from miho.identification.refit import refit
 from miho.identification.report import Report, rounding_of
 from miho.quantities import Array

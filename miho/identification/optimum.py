@@ -13,7 +13,7 @@ from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.irreducible import irreducible_of
-from miho.identification.standing import Standing, kind_of, singular, standing
+from miho.identification.statement import Standing, kind_of, singular, standing
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
 from miho.optim.zero import is_rounding, is_zero

@@ -40,10 +40,9 @@ from miho.identification.flags import (
     wrong_signs,
 )
 from miho.identification.irreducible import Irreducible, irreducible_of
-from miho.identification.printed import wrapped
+from miho.identification.line_wrapping import wrapped
 from miho.identification.prior import prior_notes, prior_table
 from miho.identification.profile_likelihood import Profile
-from miho.identification.standing import Standing
 from miho.identification.stated import (
     at_limits,
     reported_slopes,
@@ -51,6 +50,7 @@ from miho.identification.stated import (
     reported_uncertainty,
     reported_values,
 )
+from miho.identification.statement import Standing
 from miho.identification.uncertainty import Linearised
 from miho.identification.validation import (
     BINS,

@@ -48,23 +48,6 @@ def check_brackets(method: Any) -> None:
         )
 
 
-def luby(k: int) -> int:
-    """Element k = 1, 2, ... of 1 1 2 1 1 2 4 ..., the universal sequence of restarts [1]_.
-
-    Tries of these lengths need at most a logarithmic factor more than the best fixed length.
-
-    References
-    ----------
-    .. [1] M. Luby, A. Sinclair, D. Zuckerman, "Optimal speedup of Las Vegas algorithms",
-       Information Processing Letters 47 (1993) 173-180.
-    """
-    while True:
-        digits = k.bit_length()
-        if k == 2**digits - 1:
-            return int(2 ** (digits - 1))
-        k -= 2 ** (digits - 1) - 1
-
-
 def rows_by_level(
     rows: int, d: int, *, per_parameter: float, eta: int, jump: float, enough: float = math.inf
 ) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
 )
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
-from miho.optim.brackets import around, draw_starts, luby, rows_by_level
+from miho.optim.brackets import around, draw_starts, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import BudgetExhausted, UnusableValueError
@@ -27,6 +27,7 @@ from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState, at_bound, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
+from miho.optim.schedule import luby
 from miho.optim.zero import EPSILON, is_rounding, is_zero
 
 SOLVED_FIRST = 9

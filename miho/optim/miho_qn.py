@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.compiled.phases import CLOSED, FINISH, LEAD, REVIVE, RUNG, SCREEN, UNLIMITED
-from miho.optim.brackets import check_brackets, draw_starts, luby, rows_by_level
+from miho.optim.brackets import check_brackets, draw_starts, rows_by_level
 from miho.optim.miho_qn_state import (
     NEAR_LAST,
     MIHOQNState,
@@ -31,6 +31,7 @@ from miho.optim.quasi_newton_candidates import (
     QNCandidates,
 )
 from miho.optim.quasi_newton_steps import QNRules, answer, points, requests_of
+from miho.optim.schedule import luby
 from miho.optim.simplex import Simplex
 from miho.optim.space import Space
 from miho.optim.trace import Starts

@@ -13,7 +13,7 @@ import pytest
 import miho
 from miho.analysis.pages.run import save_report
 from miho.identification import Huber, report_steps
-from miho.identification.standing import standing
+from miho.identification.statement import standing
 from miho.optim import Budget, Descents, Optimizer, Outcome
 from tests.printed import flat
 

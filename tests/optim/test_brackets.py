@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from miho.optim import Parameter, Space
-from miho.optim.brackets import DECADES, TURNS, around, by_scale, draw_starts, luby, rows_by_level
+from miho.optim.brackets import DECADES, TURNS, around, by_scale, draw_starts, rows_by_level
+from miho.optim.schedule import luby
 from miho.quantities import Array
 
 

@@ -30,7 +30,7 @@ from miho.figures.report import (
     waterfall_figure,
 )
 from miho.identification import Report, identified
-from miho.identification.standing import kind_of
+from miho.identification.statement import kind_of
 from miho.models.identified import parameters_text
 from miho.models.joint import rows_of_parts
 from miho.models.layout import OUTPUT, PART

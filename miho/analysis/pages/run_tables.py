@@ -8,8 +8,8 @@ import pandas as pd
 
 from miho.analysis.text import ends, scaled, significant, to_error, with_error
 from miho.identification import Report
+from miho.identification.line_wrapping import with_unit
 from miho.identification.parameters_file import interval_kind
-from miho.identification.printed import with_unit
 from miho.study import StoredRun
 
 

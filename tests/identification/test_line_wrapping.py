@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import miho
-from miho.identification.printed import WIDTH, for_terminal, with_unit, wrapped
+from miho.identification.line_wrapping import WIDTH, for_terminal, with_unit, wrapped
 from tests.printed import flat
 
 

@@ -14,7 +14,7 @@ from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Report, make_report
 from miho.identification.irreducible import Irreducible
 from miho.identification.refit import refit
-from miho.identification.standing import standing
+from miho.identification.statement import standing
 from miho.methods.least_squares import LeastSquares
 from miho.methods.variable_projection import VariableProjection
 from miho.models.function_model import FunctionModel
