@@ -71,12 +71,34 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
     Each bracket makes its phases in rounds of independent evaluations. The bracket whose round is
     complete first continues. While there are fewer active evaluations than workers, another bracket
     begins. Brackets share known minima, stalled candidates, evidence and the stopping rule; the end
-    of the search discards active brackets. The settings are the same as for `MIHOGN`.
+    of the search discards active brackets.
 
     The decisions depend only on when several brackets were active and on the order in which rounds
     ended; a journal repeats both. As in `MIHOGN`, brackets run one after the other with one worker,
     with residuals of the machine, if all parameters are linear, and until evaluations are known to
     be expensive enough for one worker each.
+
+    Parameters
+    ----------
+    eta, rows_per_parameter, full_data_share, max_rows_per_parameter : optional
+        Candidates that continue, and rows of each level; see `MIHOGN`, as for all settings.
+    base_cost, max_cost, min_candidates, max_candidates : optional
+        Cost of a rung, and number of starting points of a bracket.
+    steps_per_rung, leader_steps, damping, scale_decay, max_step : optional
+        Steps of a descent.
+    max_secants, projection_period, draws : optional
+        Derivatives, linear parameters, and distribution of starting points.
+    tolerance, level_tolerance, final_tolerance, patience, min_progress : optional
+        End of a descent.
+    doubtful_brackets, doubtful_cost, challenges, max_brackets : optional
+        End of the search.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not possible.
+    TypeError
+        If the problem has no residuals.
     """
 
     @cached_property

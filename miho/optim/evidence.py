@@ -140,9 +140,28 @@ def agreement(
 
 
 def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:
-    """Whether a descent that ended at loss `end` is in the optimum of a loss, at most as large.
+    """Whether a descent ended in the optimum of a loss.
 
-    The difference may be up to the tolerance of solvers (AGREEING) plus rounding.
+    Parameters
+    ----------
+    best : float
+        Loss of the optimum.
+    end : float
+        Loss at the end of the descent, at least as large.
+    rounding : float, optional
+        Difference that the problem does not resolve (`Problem.resolution`).
+
+    Returns
+    -------
+    bool
+        Whether `end` exceeds `best` by at most 1e-4 of its size, the tolerance of solvers, plus
+        `rounding`.
+
+    Examples
+    --------
+    >>> from miho.optim import in_optimum
+    >>> in_optimum(2.0, 2.0001), in_optimum(2.0, 2.1)
+    (True, False)
     """
     return bool(end <= highest_in_optimum(best, rounding))
 

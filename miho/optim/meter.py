@@ -92,12 +92,29 @@ class Provisional(NamedTuple):
 class Meter:
     """Counts and results of a run; with the state of the method, all that a resumed run needs.
 
-    `unfinished` has the losses of an interrupted batch: a second evaluation of the batch continues
-    after them. `rejected` counts unusable values by reason. `outside` counts configurations outside
-    the bounds of the space: their values are used, but a method should not propose them. `starts`
-    records the descents of the run, `at_a_time` the simultaneous evaluations of an asynchronous
-    method, and `provisional` the best configuration on fewer rows until one is evaluated on all
-    rows.
+    Attributes
+    ----------
+    evaluations : float
+        Full evaluations so far.
+    seconds, cpu_seconds : float
+        Wall and CPU time of the method.
+    best : float
+        Best loss; math.inf if no loss was finite.
+    trace : Trace
+        Improvements of the best loss.
+    rejected : Counter
+        Unusable values by reason.
+    unfinished : list of float
+        Losses of an interrupted batch; a second evaluation of the batch continues after them.
+    outside : int
+        Configurations outside the bounds of the space. Their values are used, but a method should
+        not propose them.
+    starts : Starts
+        Starts and descents of the run.
+    at_a_time : int
+        Simultaneous evaluations of an asynchronous method.
+    provisional : Provisional or None
+        Best configuration on fewer rows, until one is evaluated on all rows.
     """
 
     evaluations: float = 0
@@ -135,7 +152,14 @@ class Meter:
 
 @dataclass(frozen=True)
 class Clock:
-    """Wall and CPU time in seconds, each monotone."""
+    """Clocks of a run, both monotone.
+
+    Parameters
+    ----------
+    wall, cpu : callable, optional
+        Return the wall time and the CPU time [s]; by default those of the process. Tests and
+        simulations replace them.
+    """
 
     wall: Callable[[], float] = time.perf_counter
     cpu: Callable[[], float] = time.process_time

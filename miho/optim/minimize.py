@@ -54,7 +54,21 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A run between two evaluations; pickle it, and resume it bit-exactly with `minimize`."""
+    """A run between two evaluations; pickle it, and resume it bit-exactly with `minimize`.
+
+    Attributes
+    ----------
+    optimizer : Optimizer
+        The method.
+    problem : str
+        Name of the problem.
+    seed : int
+        Seed of the run.
+    state : object
+        State of the method.
+    meter : Meter
+        Counts and results of the run so far.
+    """
 
     optimizer: Optimizer
     problem: str

@@ -23,7 +23,33 @@ class RandomSearchState:
 
 @dataclass(frozen=True)
 class RandomSearch(AskTell[RandomSearchState]):
-    """Independent draws from the initial distribution, `batch` at a time, until the budget ends."""
+    """Independent draws from the initial distribution, until the budget ends.
+
+    Parameters
+    ----------
+    batch : int, optional
+        Number of configurations that are drawn and evaluated at a time.
+    sampling : {"normal", "uniform_plus_noise", "uniform"}, optional
+        Distribution of the configurations, see `Space.sample`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not possible.
+
+    Examples
+    --------
+    >>> import miho
+    >>> from miho.methods import RandomSearch
+    >>> class Bowl(miho.Problem):
+    ...     name = "bowl"
+    ...     space = miho.Space((miho.Parameter("a", "m", -5, 5),))
+    ...     def loss(self, thetas, fidelity=1.0):
+    ...         return (thetas[:, 0] - 1) ** 2
+    >>> record = miho.minimize(RandomSearch(), Bowl(), miho.Budget(evaluations=2000))
+    >>> record.loss < 0.01, record.evaluations
+    (True, 2000.0)
+    """
 
     batch: int = 1000
     sampling: str = "normal"

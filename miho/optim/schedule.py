@@ -11,7 +11,19 @@ ROUNDINGS = ("ceil", "floor")
 
 @dataclass(frozen=True)
 class Rung:
-    """n configurations with `mutations` evaluations each, in bracket s at position j."""
+    """A rung of Hyperband (Alg. 1).
+
+    Attributes
+    ----------
+    s : int
+        Bracket, from s_max down to 0.
+    j : int
+        Position of the rung in the bracket, from 0 to s.
+    n : int
+        Number of configurations.
+    mutations : int
+        Mutations of each configuration on the rung, one evaluation each.
+    """
 
     s: int
     j: int
@@ -31,10 +43,29 @@ def largest_bracket(R: int, eta: int, rounding: str = "ceil") -> int:
 
 
 def hyperband_table(R: int, eta: int, rounding: str = "ceil") -> tuple[Rung, ...]:
-    """All rungs in the order of Alg. 1: brackets s = s_max ... 0, rungs j = 0 ... s.
+    """Return all rungs in the order of Alg. 1: brackets s = s_max ... 0, rungs j = 0 ... s.
 
     With B = (s_max + 1) R, bracket s starts with n = ceil(B / R * eta^s / (s + 1)) configurations;
     rung j has floor(n / eta^j), at least one, with floor(R eta^(j - s)) mutations each.
+
+    Parameters
+    ----------
+    R : int
+        Largest number of mutations of one configuration on a rung.
+    eta : int
+        One configuration in `eta` continues on the next rung (η).
+    rounding : {"ceil", "floor"}, optional
+        Rounding of s_max = log_eta(R); "ceil" is as printed, "floor" as in the original Hyperband.
+
+    Returns
+    -------
+    tuple of Rung
+        The rungs.
+
+    Raises
+    ------
+    ValueError
+        If `R` is below 1, `eta` is below 2, or `rounding` is unknown.
 
     Examples
     --------

@@ -25,9 +25,24 @@ SAME_PLACE = 1e-3
 class Trace:
     """Columns of equal length, a row per improvement of the best loss.
 
-    `evaluations` counts full evaluations up to and including the improvement. `seconds` and
-    `cpu_seconds` are on the clock of the method, without set-up and recording. `loss` decreases
-    strictly. `theta` is in units.
+    Attributes
+    ----------
+    evaluations : list of float
+        Full evaluations up to and including the improvement.
+    seconds, cpu_seconds : list of float
+        Wall and CPU time on the clock of the method, without set-up and recording.
+    loss : list of float
+        Best losses, which decrease strictly.
+    theta : list of ndarray, each of shape (d,)
+        Configurations, in units.
+
+    Examples
+    --------
+    >>> from miho.optim import Trace
+    >>> trace = Trace()
+    >>> trace.add(evaluations=3, seconds=0.1, cpu_seconds=0.1, loss=2.5, theta=[1.0])
+    >>> len(trace), trace.loss
+    (1, [2.5])
     """
 
     evaluations: list[float] = field(default_factory=list)
@@ -54,10 +69,18 @@ class Trace:
 class Descent:
     """One descent of a method that makes several: its losses at the start and at the end.
 
-    `end` is its smallest loss and `theta` (d,) the configuration there, None if unknown. `finished`
-    is false if the budget, an interrupt or non-finite values cut it off; `converged` is the verdict
-    of its solver. Losses are over all rows; `start` is math.inf if the start was evaluated on
-    fewer.
+    Attributes
+    ----------
+    start : float
+        Loss of the start over all rows; math.inf if the start was evaluated on fewer.
+    end : float
+        Smallest loss over all rows.
+    finished : bool
+        False if the budget, an interrupt or non-finite values cut the descent off.
+    converged : bool
+        Whether its solver has converged.
+    theta : ndarray of shape (d,) or None
+        Configuration of the smallest loss, in units; None if unknown.
     """
 
     start: float = math.inf
@@ -84,12 +107,23 @@ class Descent:
 class Starts:
     """Starts and descents of a run so far.
 
-    `screened` counts the configurations that were evaluated, on any number of rows, to choose
-    starts. `descents` are in order. `dropped` counts further descents that ended on fewer than all
-    rows, no better than a known optimum, so that their final loss is unknown. With `brackets`, a
-    descent is the last candidate of a bracket of successive halving. `exhausted`: the method ended
-    at its largest number of brackets, without enough evidence. Losses that differ by less than
-    `rounding` count as equal. `current` is the descent that the next evaluations belong to.
+    Attributes
+    ----------
+    screened : int
+        Configurations that were evaluated, on any number of rows, to choose starts.
+    descents : list of Descent
+        The descents in order.
+    rounding : float
+        Losses that differ by less than this count as equal.
+    dropped : int
+        Further descents that ended on fewer than all rows, no better than a known optimum, so that
+        their final loss is unknown.
+    brackets : bool
+        Whether a descent is the last candidate of a bracket of successive halving.
+    exhausted : bool
+        Whether the method ended at its largest number of brackets, without enough evidence.
+    current : Descent or None
+        The descent to which the next evaluations belong.
     """
 
     screened: int = 0
@@ -162,7 +196,15 @@ class Starts:
 
 
 class Minimum(NamedTuple):
-    """End of descents: the loss, and the parameters (d,) in units."""
+    """A place where descents ended.
+
+    Attributes
+    ----------
+    loss : float
+        The loss.
+    theta : tuple of float, of length d
+        The parameters, in units.
+    """
 
     loss: float
     theta: tuple[float, ...]
