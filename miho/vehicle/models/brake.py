@@ -15,7 +15,15 @@ from miho.vehicle.models.brake_statics import BrakePressure
 
 
 class BrakeCommand(NamedTuple):
-    """A command u [-] and its residual, the demanded force minus the actual force [N]."""
+    """A command of the brake, and the force that it lacks.
+
+    Attributes
+    ----------
+    u : ndarray
+        Commands [-], of the shape of the demanded forces.
+    residual : ndarray
+        Demanded force minus the force of the command [N].
+    """
 
     u: Array
     residual: Array

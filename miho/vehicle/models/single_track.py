@@ -13,7 +13,13 @@ from miho.validate import positive_settings
 
 
 class FrontRear(NamedTuple):
-    """One array for the front axle and one for the rear."""
+    """A quantity at both axles.
+
+    Attributes
+    ----------
+    front, rear : ndarray
+        Values at the front and at the rear axle.
+    """
 
     front: Array
     rear: Array
