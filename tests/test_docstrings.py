@@ -19,13 +19,6 @@ PUBLIC = [
     for page in PAGES
     for name in re.findall(r"^        - (\w+)$", page, re.MULTILINE)
 ]
-PENDING = {
-    "miho.methods": "RandomSearch",
-    "miho.optim": "AsynchronousMIHOGN Checkpoint Clock Descent Meter "
-    "Minimum Rung Starts Trace hyperband_table in_optimum",
-    "miho.vehicle.models": "BrakeCommand FrontRear",
-}
-"""Names whose docstrings do not list their parameters yet; take a name out with its rewrite."""
 EXAMPLES = [
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
     for folder in ("miho", "baselines")
@@ -72,12 +65,8 @@ def faults(value: Any) -> list[str]:
 
 
 @pytest.mark.parametrize(("package", "name"), PUBLIC)
-def test_docstrings_match_signatures(
-    package: str, name: str, request: pytest.FixtureRequest
-) -> None:
+def test_docstrings_match_signatures(package: str, name: str) -> None:
     value = getattr(import_module(package), name)
-    if name in PENDING.get(package, "").split():
-        request.applymarker(pytest.mark.xfail(reason="pending", strict=False))
     if inspect.isclass(value) or inspect.isfunction(value):
         assert not faults(value)
 
