@@ -67,6 +67,11 @@ def hyperband_table(R: int, eta: int, rounding: str = "ceil") -> tuple[Rung, ...
     ValueError
         If `R` is below 1, `eta` is below 2, or `rounding` is unknown.
 
+    References
+    ----------
+    L. Li et al., "Hyperband: a novel bandit-based approach to hyperparameter optimization", JMLR
+    18, 2018.
+
     Examples
     --------
     >>> from miho.optim import hyperband_table
