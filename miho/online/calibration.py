@@ -40,7 +40,15 @@ class Calibration(NamedTuple):
 
 
 class RecordFit(NamedTuple):
-    """Parameters (d,) that fit a record best, and their variances (d,) for dependent errors."""
+    """The best fit of a record.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (d,)
+        Parameters.
+    variances : ndarray, shape (d,)
+        Their variances, which allow for errors that depend on each other.
+    """
 
     theta: Array
     variances: Array
@@ -54,6 +62,22 @@ def calibration(
     The record is a part of what the best fit has seen, so the variance of the latter is added to
     the squared distance of an estimate from it. The scale is a ratio of root mean squares, the
     largest one of all watched parameters.
+
+    Parameters
+    ----------
+    states : sequence of TrackerState
+        State after each row of the record; the first quarter does not count for the scale.
+    best : RecordFit
+        Best fit of the record.
+    watched : ndarray of bool, shape (d,)
+        Whether the alarm watches each parameter.
+    threshold : float
+        Least threshold of the alarm.
+
+    Returns
+    -------
+    Calibration
+        Scale and threshold.
 
     Raises
     ------
@@ -83,10 +107,28 @@ def calibration(
 def fitted_to(
     rows: Array, formula: RowFormula, rules: Rules, theta: Array, covariance: Array
 ) -> RecordFit:
-    """Fit all rows (n, p + m + 1) and a prior.
+    """Fit parameters to all rows of a record and to a prior.
 
     Errors may depend on each other within blocks of rows: variances are from the scatter of the
     blocks' scores (Newey and West, Econometrica 55, 1987, with a rectangular window).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, p + m + 1)
+        Inputs, outputs and time of each row.
+    formula : RowFormula
+        Outputs and derivatives of a row.
+    rules : Rules
+        Noise, bounds and units of the parameters.
+    theta : ndarray, shape (d,)
+        Mean of the prior.
+    covariance : ndarray, shape (d, d)
+        Covariance of the prior.
+
+    Returns
+    -------
+    RecordFit
+        The best fit.
 
     Raises
     ------

@@ -25,7 +25,18 @@ class Running(ABC):
 
     @abstractmethod
     def update(self, rows: Rows) -> TrackerState:
-        """Take one or several rows, and return the state after the last of them."""
+        """Take one or several rows, and return the state after the last of them.
+
+        Parameters
+        ----------
+        rows : Dataset or mapping of str
+            Columns by name: numbers for one row, arrays for several; NaN for a missing value.
+
+        Returns
+        -------
+        TrackerState
+            Its alarm is the last one that these rows raised.
+        """
 
 
 class OnlineMethod(ABC):
@@ -58,4 +69,9 @@ class OnlineMethod(ABC):
             Standard deviation of the noise of input columns, in their units.
         period : float, optional
             Time between two rows [s], for rows without a column "time".
+
+        Returns
+        -------
+        Running
+            The run.
         """

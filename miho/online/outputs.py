@@ -24,7 +24,18 @@ TIME = "time"
 class Output:
     """One output: its column, its model, and the standard deviation of its errors.
 
-    `parameters` are the common names of the model's parameters, in the model's order.
+    Parameters
+    ----------
+    column, unit : str
+        Column of the output, and its unit.
+    model : Model
+        Model of the output.
+    parameters : tuple of str
+        Names of the model's parameters in the system, in the model's order.
+    sigma : float
+        Standard deviation of the errors, in `unit`.
+    columns : mapping of str to ndarray, shape (N,)
+        Columns of the offline data.
     """
 
     column: str
@@ -41,7 +52,15 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """All outputs, and the parameters with their bounds."""
+    """All outputs, and the parameters with their bounds.
+
+    Parameters
+    ----------
+    outputs : tuple of Output
+        The outputs.
+    space : Space
+        The parameters of all outputs.
+    """
 
     outputs: tuple[Output, ...]
     space: Space
@@ -65,7 +84,17 @@ class System:
 def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = None) -> System:
     """Return the outputs and parameters of a problem, a joint problem or one problem per output.
 
-    `noise` is the standard deviation of the errors of a problem without sigma.
+    Parameters
+    ----------
+    problems : CurveFit or sequence of CurveFit
+        A problem, or one for each output.
+    noise : float, optional
+        Standard deviation of the errors of a problem without sigma.
+
+    Returns
+    -------
+    System
+        Outputs and parameters.
 
     Raises
     ------

@@ -40,7 +40,10 @@ PLACE = {name: k for k, name in enumerate(NUMBERS)}
 class Layout:
     """Sizes of a population, and the place of each of its arrays in one memory of doubles.
 
-    K hypotheses of d parameters, m outputs, and p inputs, the first q of which have noise.
+    Parameters
+    ----------
+    K, d, m, p, q : int
+        Numbers of hypotheses, parameters, outputs, inputs, and inputs with noise, which come first.
     """
 
     K: int
@@ -91,8 +94,27 @@ class Layout:
 class Rules:
     """Numbers by which a population is updated.
 
-    Covariances and drifts are in `unit` (d,) of each parameter: the size of a jump of a watched
-    parameter, and the standard deviation before the first row of the others.
+    Covariances and drifts are in the `unit` of each parameter.
+
+    Parameters
+    ----------
+    hazard, outliers, width, threshold, near : float
+        As for `TrackerSettings`.
+    long, middle, short : float
+        Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
+    use, smooth, hold, repeats, gap, every, cap : float
+        As for `TrackerSettings`.
+    unit : ndarray, shape (d,)
+        Size of a jump of a watched parameter; standard deviation of another one before the first
+        row.
+    low, high : ndarray, shape (d,)
+        Bounds of the parameters.
+    watched : ndarray, shape (d,)
+        1 for a parameter that may jump, else 0.
+    sigma : ndarray, shape (m,)
+        Standard deviations of the errors of the outputs.
+    noise : ndarray, shape (q,)
+        Standard deviations of the first inputs.
     """
 
     hazard: float

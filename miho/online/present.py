@@ -14,7 +14,24 @@ from miho.quantities import Array
 def present_parameters(
     system: System, output: Output, state: TrackerState, level: float
 ) -> Identified:
-    """Return the content of `parameters.json` for a state."""
+    """Return the content of `parameters.json` for a state.
+
+    Parameters
+    ----------
+    system : System
+        The tracked system.
+    output : Output
+        The output whose model is described.
+    state : TrackerState
+        Present parameters.
+    level : float
+        Confidence level of the intervals.
+
+    Returns
+    -------
+    Identified
+        The model with all its parameters, also those that are fixed or tied.
+    """
     places = [system.names.index(name) for name in output.parameters]
     theta, ends = state.theta[places], state.intervals(level)[places]
     covariance = state.scale**2 * state.covariance[np.ix_(places, places)]

@@ -19,7 +19,22 @@ UNIFORM = 1 / math.sqrt(12)
 def start_of(
     system: System, prior: Report | Mapping[str, tuple[float, float]] | None
 ) -> tuple[Array, Array]:
-    """Return the estimate (d,) and its covariance (d, d) before the first row.
+    """Return the estimate and its covariance before the first row.
+
+    Parameters
+    ----------
+    system : System
+        The tracked system.
+    prior : Report or mapping of str to (value, standard deviation) or None
+        Knowledge from before. A parameter that it does not know starts from the prior of its
+        `Parameter`, or from the middle of its bounds.
+
+    Returns
+    -------
+    theta : ndarray, shape (d,)
+        Estimate.
+    covariance : ndarray, shape (d, d)
+        Its covariance.
 
     Raises
     ------

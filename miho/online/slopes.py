@@ -18,7 +18,17 @@ from miho.quantities import Array
 
 
 class Slopes(NamedTuple):
-    """Outputs (m, K), derivatives by parameters (m, K, d) and by the noisy inputs (m, K, q)."""
+    """Outputs of one row at K configurations, and their derivatives.
+
+    Attributes
+    ----------
+    values : ndarray, shape (m, K)
+        Outputs.
+    parameters : ndarray, shape (m, K, d)
+        Derivatives by the parameters.
+    inputs : ndarray, shape (m, K, q)
+        Derivatives by the inputs with noise.
+    """
 
     values: Array
     parameters: Array
@@ -39,6 +49,13 @@ class TapedFormula(RowFormula):
 
     Its results are, for each output, the value, the d derivatives by the parameters, and the q
     derivatives by the first inputs, which have noise.
+
+    Parameters
+    ----------
+    tape : Tape
+        The tape.
+    outputs, d, q : int
+        Numbers of outputs, of parameters, and of inputs with noise.
     """
 
     tape: Tape
@@ -62,7 +79,16 @@ class TapedFormula(RowFormula):
 class ModelFormula(RowFormula):
     """Outputs and derivatives by the models' own functions, one configuration after the other.
 
-    Derivatives by an input are central differences over the standard deviation of its noise (q,).
+    Parameters
+    ----------
+    outputs : tuple of Output
+        The outputs.
+    names : tuple of str
+        Names of the parameters.
+    columns : tuple of str
+        The input columns; those with noise come first.
+    noise : ndarray, shape (q,)
+        Standard deviations of the first inputs, which are the steps of central differences.
     """
 
     outputs: tuple[Output, ...]
@@ -101,9 +127,21 @@ class ModelFormula(RowFormula):
 
 
 def row_formula(system: System, columns: Sequence[str], noise: Array) -> RowFormula:
-    """Return the formula of a system with these input columns, the first of which have noise (q,).
+    """Return the formula of a system.
 
-    It is one tape if all models are expressions that can be traced.
+    Parameters
+    ----------
+    system : System
+        The outputs and parameters.
+    columns : sequence of str
+        The input columns; those with noise come first.
+    noise : ndarray, shape (q,)
+        Standard deviations of the first inputs.
+
+    Returns
+    -------
+    RowFormula
+        One tape if all models are expressions that can be traced, otherwise the models' functions.
     """
     tape = _traced(system, columns, noise.size)
     if tape is None:

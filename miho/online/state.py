@@ -79,7 +79,24 @@ class Alarm:
         return f"{each} at {self.time:.1f} s"
 
     def with_names(self, name: Callable[[str], str]) -> Alarm:
-        """Return the alarm with other names of the parameters."""
+        """Return the alarm with other names of the parameters.
+
+        Parameters
+        ----------
+        name : callable
+            Returns the new name of a parameter.
+
+        Returns
+        -------
+        Alarm
+            The alarm in these names.
+
+        Examples
+        --------
+        >>> alarm = Alarm(12.4, "D", before=1000.0, after=690.0, standard_error=40.0)
+        >>> str(alarm.with_names({"D": "front grip"}.get))
+        'front grip fell by 31 ± 4 % at 12.4 s'
+        """
         return replace(
             self,
             parameter=None if self.parameter is None else name(self.parameter),
@@ -103,7 +120,15 @@ class Alarm:
 
 
 class Change(NamedTuple):
-    """Parameters (d,) before and after a change, and their standard errors."""
+    """Parameters before and after a change.
+
+    Attributes
+    ----------
+    before, after : ndarray, shape (d,)
+        Estimates.
+    before_errors, after_errors : ndarray, shape (d,)
+        Their standard errors.
+    """
 
     before: Array
     after: Array
@@ -112,7 +137,24 @@ class Change(NamedTuple):
 
 
 def alarm_of(change: Change, time: float, names: Sequence[str], watched: Array) -> Alarm:
-    """Return the alarm of a change: the watched parameters, the most significant first."""
+    """Return the alarm of a change.
+
+    Parameters
+    ----------
+    change : Change
+        Parameters before and after the change.
+    time : float
+        Time of the alarm [s].
+    names : sequence of str
+        Names of the parameters.
+    watched : ndarray, shape (d,)
+        Not 0 for the parameters that the alarm watches.
+
+    Returns
+    -------
+    Alarm
+        The watched parameters, the most significant change first.
+    """
     errors = np.hypot(change.before_errors, change.after_errors)
     ratios = np.abs(change.after - change.before) / np.maximum(errors, SMALLEST)
     order = [int(k) for k in np.argsort(-ratios) if watched[k]]
@@ -190,7 +232,18 @@ class TrackerState:
         return np.asarray(self.scale * np.sqrt(np.diag(self.covariance)))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Lower and upper ends (d, 2) of the intervals that have this probability."""
+        """Return the intervals of the parameters.
+
+        Parameters
+        ----------
+        level : float, optional
+            Probability that an interval holds its parameter.
+
+        Returns
+        -------
+        ndarray, shape (d, 2)
+            Lower and upper ends, within the bounds.
+        """
         if self.mixture is None:
             reach = float(scipy.special.ndtri((1 + level) / 2)) * self.deviations
         else:
@@ -200,7 +253,22 @@ class TrackerState:
 
 
 def mixture_reach(centre: Array, mixture: Mixture, level: float) -> Array:
-    """Half widths (d,) of the intervals around `centre` that have the probability `level`."""
+    """Return the half widths of intervals that have a probability.
+
+    Parameters
+    ----------
+    centre : ndarray, shape (d,)
+        Middles of the intervals.
+    mixture : Mixture
+        Distribution of the parameters.
+    level : float
+        The probability.
+
+    Returns
+    -------
+    ndarray, shape (d,)
+        Half widths.
+    """
     if machine() is not None:
         out = np.empty(centre.size)
         machine().mixture_reach(*mixture, centre, level, out)
