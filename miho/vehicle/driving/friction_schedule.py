@@ -51,7 +51,22 @@ class FrictionSchedule:
 
     @classmethod
     def drop(cls, at: float, share: float, within: float = 0.2) -> FrictionSchedule:
-        """Return a friction of 1 that falls by a share [-] from the time `at` `within` [s]."""
+        """Return a friction of 1 that falls once.
+
+        Parameters
+        ----------
+        at : float
+            Time at which the fall begins [s].
+        share : float
+            Share of the friction that is lost [-].
+        within : float, optional
+            Duration of the fall [s].
+
+        Returns
+        -------
+        FrictionSchedule
+            The friction.
+        """
         return cls((at, at + within), (1.0, 1.0 - share))
 
     def at(self, time: float) -> float:

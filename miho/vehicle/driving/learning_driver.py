@@ -23,9 +23,23 @@ class FrictionSource(ABC):
 
     @abstractmethod
     def friction(self, motion: Motion, curvature: float, bank: float) -> float:
-        """Return the friction [-] at a measured motion on a curvature [1/m] and a bank [rad].
+        """Return the present friction, relative to the known car [-].
 
         The driver calls this once for each command.
+
+        Parameters
+        ----------
+        motion : Motion
+            Measured motion.
+        curvature : float
+            Curvature of the line at the car [1/m].
+        bank : float
+            Bank of the road at the car [rad].
+
+        Returns
+        -------
+        float
+            The friction; NaN keeps the present plan.
         """
 
 
@@ -67,7 +81,22 @@ class LearningDriver:
         return self.driver.begin(motion)
 
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
-        """Return the next command for a measured motion, and the new state."""
+        """Return the next command for a measured motion, and the new state.
+
+        Parameters
+        ----------
+        state : DriverState
+            State of the driver.
+        motion : Motion
+            Measured motion.
+
+        Returns
+        -------
+        Command
+            The command.
+        DriverState
+            The new state, whose plan may be another one.
+        """
         point = state.plan.line.at(state.at)
         now = self.source.friction(motion, float(point.curvature), float(point.bank))
         planned = state.plan.friction.mu / self.planner.mu

@@ -26,7 +26,13 @@ from miho.vehicle.driving.vehicle import Vehicle
 
 
 class WheelLoads(NamedTuple):
-    """Vertical load of each wheel [N], at least 0."""
+    """Vertical loads of the wheels.
+
+    Attributes
+    ----------
+    front_left, front_right, rear_left, rear_right : ndarray
+        Load of each wheel [N], at least 0.
+    """
 
     front_left: Array
     front_right: Array

@@ -15,9 +15,22 @@ from miho.vehicle.driving.plant import Motion
 class Sensors:
     """White noise of each channel of a `Motion`, as standard deviations in SI units.
 
-    Fields have the names of the channels; `position` applies to x and to y. Time and gear are
-    exact. The defaults are typical values, chosen for this package, of a good inertial unit with
-    GNSS (RTK) and of the wheel and engine sensors of a racing car.
+    Time and gear are exact. The defaults are typical values, chosen for this package, of a good
+    inertial unit with GNSS (RTK) and of the wheel and engine sensors of a racing car.
+
+    Parameters
+    ----------
+    position : float, optional
+        Noise of x and of y [m].
+    yaw, vx, vy, yaw_rate, ax, ay, steering : float, optional
+        Noise of the channel of this name [rad], [m/s], [m/s], [rad/s], [m/s^2], [m/s^2], [rad].
+    wheel_speeds, engine_speed, engine_torque, brake_pressure, loads : float, optional
+        Noise of the channel of this name [rad/s], [rad/s], [Nm], [Pa], [N].
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation is below 0.
     """
 
     position: float = 0.02

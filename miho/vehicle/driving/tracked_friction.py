@@ -39,8 +39,27 @@ def axle_use(  # type: ignore[no-untyped-def]
 ):
     """Lateral force of an axle per load, positive to the left (ISO-W: at negative slip angles).
 
-    slip [rad] and load, relative to rest [-], are inputs; stiffness [1/rad] and shift [rad] are of
-    the slip angle, and the other parameters have no unit.
+    Parameters
+    ----------
+    slip : ndarray
+        Slip angle of the axle [rad].
+    load : ndarray
+        Load of the axle, relative to rest [-].
+    front_grip : float
+        Largest force per load at the load at rest [-].
+    stiffness : float
+        Cornering stiffness per load [1/rad].
+    shape : float
+        C of the Magic Formula [-].
+    shift : float
+        Slip angle without a force [rad].
+    sensitivity : float, optional
+        Relative change of the grip over a relative change of the load [-].
+
+    Returns
+    -------
+    ndarray
+        Force per load [-].
     """
     peak = front_grip * (1 + sensitivity * (load - 1))
     return -peak * np.sin(shape * np.arctan(stiffness * (slip - shift) / (shape * peak)))
@@ -63,16 +82,21 @@ class FrontAxle:
         self._waiting: list[list[float]] = []
 
     def row(self, motion: Motion, curvature: float, bank: float) -> dict[str, float] | None:
-        """Return the columns of `COLUMNS` and the time [s] of each `MEAN` motions, else None.
+        """Take a motion, and return a row after each `MEAN` motions.
 
-        The force is NaN while it is not known.
+        A row has the time [s] and the columns of `COLUMNS`. Its force is NaN while it is not known.
 
         Parameters
         ----------
         motion : Motion
             Measured motion.
         curvature, bank : float
-            Of the line at the car [1/m], [rad].
+            Curvature [1/m] and bank [rad] of the line at the car.
+
+        Returns
+        -------
+        dict of str to float or None
+            The means of the motions since the last row; None between two rows.
         """
         car, vx = self.vehicle, max(motion.vx, 1.0)
         self._yaw_rates.append(motion.yaw_rate)
@@ -122,7 +146,20 @@ class TrackedFriction(FrictionSource):
 
 
 def front_rows(vehicle: Vehicle, drive: Drive) -> dict[str, Array]:
-    """Return the columns of all rows of the front axle, from the measurements of a drive."""
+    """Return the rows of the front axle from the measurements of a drive.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car.
+    drive : Drive
+        The drive, with a command every 0.01 s.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        The time [s] and the columns of `COLUMNS`.
+    """
     axle = FrontAxle(vehicle)
     names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering")
     columns = {name: drive.measured[name] for name in names}
