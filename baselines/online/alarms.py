@@ -48,6 +48,13 @@ class Detector(ABC):
 class Watch(ABC):
     """Abstract base class of the alarms of S runs, with the slow mean of each parameter.
 
+    Parameters
+    ----------
+    setup : Setup
+        The task of the runs.
+    settings : Detector
+        Threshold of the evidence, and time without another alarm.
+
     Attributes
     ----------
     means : ndarray, shape (S, d)
@@ -103,7 +110,15 @@ class Watch(ABC):
 
 @dataclass(frozen=True)
 class LevelAlarm(Detector):
-    """A watched parameter differs from its own slow mean by a share of its offline value."""
+    """A watched parameter differs from its own slow mean by a share of its offline value.
+
+    Parameters
+    ----------
+    threshold : float, optional
+        Share that raises an alarm.
+    hold : float, optional
+        Time after an alarm without another one [s].
+    """
 
     def watch(self, setup: Setup) -> Watch:
         """Return a watch that has seen no row."""
@@ -122,6 +137,13 @@ class _LevelWatch(Watch):
 @dataclass(frozen=True)
 class ModeAlarm(Detector):
     """Log odds of the quick mode of interacting multiple models.
+
+    Parameters
+    ----------
+    threshold : float, optional
+        Log odds that raise an alarm.
+    hold : float, optional
+        Time after an alarm without another one [s].
 
     References
     ----------

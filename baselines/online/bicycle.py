@@ -133,7 +133,18 @@ def bicycle(
 
 
 def bicycle_problem(estimate: Array) -> tuple[CurveFit, ...]:
-    """Return the fits of vx, vy and yaw rate one step later; their rows are at 20 m/s."""
+    """Return the fits of vx, vy and yaw rate one step later; their rows are at 20 m/s.
+
+    Parameters
+    ----------
+    estimate : ndarray, shape (4,)
+        Offline estimate, which makes the rows.
+
+    Returns
+    -------
+    tuple of CurveFit
+        Model, bounds and noise of each output.
+    """
     slip = np.linspace(-0.12, 0.12, 25)
     inputs = {"vx": np.full(25, 20.0), "vy": -20 * slip, "yaw_rate": np.zeros(25),
               "steering": np.zeros(25), "drive": np.zeros(25)}  # fmt: skip
@@ -156,7 +167,26 @@ def bicycle_problem(estimate: Array) -> tuple[CurveFit, ...]:
 def accelerations(
     state: Motion, steering: Any, drive: Any, theta: Sequence[Any], functions: Functions
 ) -> Motion:
-    """Return the rates of vx, vy and yaw rate; `drive` is the driving force over the mass."""
+    """Return the rates of vx, vy and yaw rate.
+
+    Parameters
+    ----------
+    state : tuple
+        vx, vy [m/s] and yaw rate [rad/s]: numbers, arrays or symbols, as for all arguments.
+    steering : float
+        Angle of the front wheels [rad].
+    drive : float
+        Driving force over the mass [m/s^2].
+    theta : sequence
+        B_f [1/rad], D_f [-], B_r [1/rad], D_r [-].
+    functions : tuple of callable
+        Sine, cosine and arc tangent of the arguments.
+
+    Returns
+    -------
+    tuple
+        Rates of vx, vy [m/s^2] and yaw rate [rad/s^2].
+    """
     vx, vy, yaw_rate = state
     B_f, D_f, B_r, D_r = theta
     sin, cos, arctan = functions
@@ -180,7 +210,22 @@ def one_step(
     step: float = STEP,
     functions: Functions = (np.sin, np.cos, np.arctan),
 ) -> Motion:
-    """Return the motion one step later by the midpoint rule."""
+    """Return the motion one step later by the midpoint rule.
+
+    Parameters
+    ----------
+    state, steering, drive, theta
+        As for `accelerations`.
+    step : float, optional
+        Duration of the step [s].
+    functions : tuple of callable, optional
+        As for `accelerations`; by default those of NumPy.
+
+    Returns
+    -------
+    tuple
+        vx, vy [m/s] and yaw rate [rad/s].
+    """
     rates = accelerations(state, steering, drive, theta, functions)
     middle = tuple(x + step / 2 * rate for x, rate in zip(state, rates, strict=True))
     rates = accelerations(middle, steering, drive, theta, functions)
@@ -190,7 +235,13 @@ def one_step(
 
 @dataclass(frozen=True)
 class OneStep(TracedExpression):
-    """One component of the motion (0: vx, 1: vy, 2: yaw rate) after a step of 20 ms."""
+    """One component of the motion after a step of 20 ms.
+
+    Parameters
+    ----------
+    component : int
+        0 for vx, 1 for vy, 2 for the yaw rate.
+    """
 
     component: int
     inputs = MappingProxyType(
@@ -212,9 +263,27 @@ class OneStep(TracedExpression):
 
 
 def simulated(slip: Array, speed: Array, theta: Array) -> tuple[Array, Array, Array]:
-    """Return motion (N, 3), steering and drive (N,) along slip angles of the front axle and speeds.
+    """Return the motion along slip angles of the front axle and speeds.
 
     The steering follows the slip angle, at most 0.5 rad; the drive follows the speed.
+
+    Parameters
+    ----------
+    slip : ndarray, shape (N,)
+        Slip angles of the front axle [rad], positive for forces to the left.
+    speed : ndarray, shape (N,)
+        Speeds [m/s].
+    theta : ndarray, shape (N, 4)
+        Parameters of the car in each row.
+
+    Returns
+    -------
+    motion : ndarray, shape (N, 3)
+        vx, vy [m/s] and yaw rate [rad/s].
+    steering : ndarray, shape (N,)
+        Angle of the front wheels [rad].
+    drive : ndarray, shape (N,)
+        Driving force over the mass [m/s^2].
     """
     motion, steering, drive = np.empty((slip.size, 3)), np.empty(slip.size), np.empty(slip.size)
     state: Motion = (float(speed[0]), 0.0, 0.0)

@@ -91,13 +91,39 @@ class _ExtendedKalmanRun(Peer):
 
 
 def walk_variances(setup: Setup, drift: float, drift_of_others: float) -> Array:
-    """Return the variances (S, d) that random walks gain in a second."""
+    """Return the variances that random walks gain in a second.
+
+    Parameters
+    ----------
+    setup : Setup
+        The task.
+    drift, drift_of_others : float
+        As for `ExtendedKalman`.
+
+    Returns
+    -------
+    ndarray, shape (S, d)
+        Variances.
+    """
     share = np.where(setup.changes > 0, drift, drift_of_others)
     return np.asarray((share * setup.sizes) ** 2)
 
 
 def widened(P: Array, variances: Array) -> Array:
-    """Return covariances (..., d, d) with variances (..., d) added."""
+    """Return covariances to which variances are added.
+
+    Parameters
+    ----------
+    P : ndarray, shape (..., d, d)
+        Covariances.
+    variances : ndarray, shape (..., d)
+        Variances.
+
+    Returns
+    -------
+    ndarray, shape (..., d, d)
+        The sums.
+    """
     P = P.copy()
     places = np.arange(P.shape[-1])
     P[..., places, places] += variances
@@ -107,7 +133,30 @@ def widened(P: Array, variances: Array) -> Array:
 def updated(
     theta: Array, P: Array, residual: Array, slopes: Array, variance: Array, setup: Setup
 ) -> tuple[Array, Array]:
-    """Return estimates (..., d) and covariances after one output; a residual of NaN is skipped."""
+    """Return estimates and covariances after one output.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (..., d)
+        Estimates.
+    P : ndarray, shape (..., d, d)
+        Their covariances.
+    residual : ndarray, shape (...)
+        Measured minus predicted output; NaN is skipped.
+    slopes : ndarray, shape (..., d)
+        Derivatives of the output.
+    variance : ndarray, shape (...)
+        Variance of the noise.
+    setup : Setup
+        The task, for its bounds.
+
+    Returns
+    -------
+    theta : ndarray, shape (..., d)
+        Estimates.
+    P : ndarray, shape (..., d, d)
+        Their covariances.
+    """
     Pj = (P @ slopes[..., None])[..., 0]
     seen = np.isfinite(residual)
     gain = Pj * (seen / (np.sum(slopes * Pj, axis=-1) + variance))[..., None]

@@ -145,7 +145,20 @@ class _InteractingModelsRun(Peer):
 
 
 def transitions(modes: int, to_next: float, back: float) -> Array:
-    """Return the probabilities (modes, modes) of a change from a mode (row) to another (column)."""
+    """Return the probabilities of a change of the mode in a row of data.
+
+    Parameters
+    ----------
+    modes : int
+        Number of modes.
+    to_next, back : float
+        Probability of a change from a mode to the next one, and back.
+
+    Returns
+    -------
+    ndarray, shape (modes, modes)
+        Probability of a change from a mode (row) to another one (column).
+    """
     matrix = np.zeros((modes, modes))
     for k in range(modes - 1):
         matrix[k, k + 1], matrix[k + 1, k] = to_next, back
@@ -161,8 +174,26 @@ def considered(
     taught: NDArray[np.bool_],
     setup: Setup,
 ) -> tuple[Array, Array]:
-    """Return the update that changes only the `taught` parameters, with Joseph's form.
+    """Return the update that changes only the taught parameters, in Joseph's form.
 
+    Parameters
+    ----------
+    theta, P, residual, slopes, variance
+        As for `updated` of the extended Kalman filter.
+    taught : ndarray of bool, shape (..., d)
+        Whether the row changes each parameter.
+    setup : Setup
+        The task, for its bounds.
+
+    Returns
+    -------
+    theta : ndarray, shape (..., d)
+        Estimates.
+    P : ndarray, shape (..., d, d)
+        Their covariances.
+
+    References
+    ----------
     Simon, Optimal State Estimation (2006), Sec. 10.4 (reduced-order and consider filtering).
     """
     Pj = (P @ slopes[..., None])[..., 0]

@@ -101,7 +101,18 @@ def longitudinal(
 
 
 def longitudinal_problem(estimate: Array) -> CurveFit:
-    """Return the fit of the acceleration; its rows accelerate, brake and roll."""
+    """Return the fit of the acceleration; its rows accelerate, brake and roll.
+
+    Parameters
+    ----------
+    estimate : ndarray, shape (3,)
+        Offline estimate, which makes the rows.
+
+    Returns
+    -------
+    CurveFit
+        Model, bounds and noise.
+    """
     space = Space(
         tuple(
             Parameter(name, unit, 0.2 * value, 3 * value)

@@ -41,13 +41,33 @@ class PeerMethod(OnlineMethod):
 
     @final
     def start_abreast(self, arguments: Sequence[Mapping[str, Any]]) -> Peer:
-        """Return runs that advance in lockstep, each with its arguments of `start`."""
+        """Return runs that advance in lockstep.
+
+        Parameters
+        ----------
+        arguments : sequence of mapping
+            Arguments of `start` of each run. All runs have the model of the first one.
+
+        Returns
+        -------
+        Peer
+            The runs.
+        """
         defaults = {"prior": None, "changes": None, "input_noise": None, "period": 0.02}
         return self.run(abreast([setup_of(**{**defaults, **one}) for one in arguments]))
 
 
 class Peer(Running):
     """Abstract base class of S runs of a peer in lockstep; `start` gives a single one.
+
+    Parameters
+    ----------
+    setup : Setup
+        The task of the runs.
+    detector : Detector
+        The alarm.
+    skips_repeats : bool, optional
+        Whether an output that repeats exactly counts as missing.
 
     Attributes
     ----------
@@ -87,7 +107,16 @@ class Peer(Running):
 
     @final
     def advance(self, times: Array, x: Array, y: Array) -> NDArray[np.bool_]:
-        """Take one row of each run: times (S,), inputs (S, p), outputs (S, m); NaN is missing.
+        """Take one row of each run.
+
+        Parameters
+        ----------
+        times : ndarray, shape (S,)
+            Times [s]; NaN if unknown.
+        x : ndarray, shape (S, p)
+            Inputs; NaN is missing.
+        y : ndarray, shape (S, m)
+            Outputs; NaN is missing.
 
         Returns
         -------

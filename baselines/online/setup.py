@@ -30,7 +30,17 @@ TEACHING = 0.4
 
 
 class Predicted(NamedTuple):
-    """Outputs (..., m), derivatives (..., m, d), and variances of the noise (..., m)."""
+    """Predictions of a row.
+
+    Attributes
+    ----------
+    outputs : ndarray, shape (..., m)
+        Outputs.
+    slopes : ndarray, shape (..., m, d)
+        Derivatives by the parameters.
+    variances : ndarray, shape (..., m)
+        Variances of the noise of outputs and inputs.
+    """
 
     outputs: Array
     slopes: Array
@@ -123,9 +133,21 @@ class Setup:
             yield float(row[0]), row[1:p], row[p:]
 
     def predicted(self, thetas: Array, x: Array) -> Predicted:
-        """Return the predictions of configurations (..., d), each for its own inputs (..., p).
+        """Return the predictions of configurations, each for its own inputs.
 
         The variance includes the noise of the inputs, to first order.
+
+        Parameters
+        ----------
+        thetas : ndarray, shape (..., d)
+            Configurations.
+        x : ndarray, shape (..., p)
+            Inputs.
+
+        Returns
+        -------
+        Predicted
+            Outputs, derivatives and variances.
         """
         shape, m = thetas.shape[:-1], len(self.system.outputs)
         flat, rows = thetas.reshape(-1, thetas.shape[-1]), x.reshape(-1, x.shape[-1])
@@ -162,7 +184,18 @@ def setup_of(
     input_noise: Mapping[str, float] | None,
     period: float,
 ) -> Setup:
-    """Return the task of one run from the arguments of `OnlineMethod.start`."""
+    """Return the task of one run.
+
+    Parameters
+    ----------
+    problem, prior, changes, input_noise, period
+        As for `OnlineMethod.start`.
+
+    Returns
+    -------
+    Setup
+        The task, with S = 1.
+    """
     system = system_of(problem)
     noise = {name: sigma for name, sigma in (input_noise or {}).items() if sigma > 0}
     columns = (*noise, *(name for name in system.inputs if name not in noise))
@@ -184,7 +217,18 @@ def setup_of(
 
 
 def abreast(setups: Sequence[Setup]) -> Setup:
-    """Return the task of several runs of the same model, which advance in lockstep."""
+    """Return the task of several runs of the same model, which advance in lockstep.
+
+    Parameters
+    ----------
+    setups : sequence of Setup
+        Task of each run.
+
+    Returns
+    -------
+    Setup
+        The task of all runs.
+    """
     return replace(
         setups[0],
         theta=np.concatenate([one.theta for one in setups]),

@@ -166,7 +166,18 @@ def tire(
 
 
 def tire_problem(estimate: Array) -> CurveFit:
-    """Return the fit of the tire; its rows are the offline estimate's forces up to 0.16 rad."""
+    """Return the fit of the tire; its rows are the offline estimate's forces up to 0.16 rad.
+
+    Parameters
+    ----------
+    estimate : ndarray, shape (5,)
+        Offline estimate of B, C, D, Sx, Sy.
+
+    Returns
+    -------
+    CurveFit
+        Model, bounds and noise.
+    """
     low = np.array([3.6, 0.96, 200.0, -0.03, -600.0])
     high = np.array([36.0, 2.4, 8000.0, 0.03, 600.0])
     space = Space(
@@ -182,7 +193,20 @@ def tire_problem(estimate: Array) -> CurveFit:
 
 
 def corners(rng: np.random.Generator, rows: int) -> Array:
-    """Return slip angles (rows,) [rad] of corners of 2 to 6 s, half of them near the peak."""
+    """Return slip angles of corners of 2 to 6 s, half of them near the peak.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    rows : int
+        Number of rows.
+
+    Returns
+    -------
+    ndarray, shape (rows,)
+        Slip angles [rad].
+    """
     slip = np.zeros(rows)
     k = 0
     while k < rows:
@@ -198,13 +222,41 @@ def corners(rng: np.random.Generator, rows: int) -> Array:
 def swing_near_peak(
     slip: Array, t: Array, at: float, rng: np.random.Generator, swing: tuple[float, float]
 ) -> None:
-    """Set the slip angle near the peak from 1 s before the change until 3 s after it."""
+    """Set the slip angle near the peak from 1 s before the change until 3 s after it.
+
+    Parameters
+    ----------
+    slip : ndarray, shape (N,)
+        Slip angles [rad], changed in place.
+    t : ndarray, shape (N,)
+        Times [s].
+    at : float
+        Time of the change [s].
+    rng : numpy.random.Generator
+        Source of randomness.
+    swing : tuple of float
+        Middle and amplitude of the slip angle [rad].
+    """
     near = (t >= at - 1) & (t < at + 3)
     slip[near] = swing[0] + swing[1] * np.sin(2 * np.pi * 1.1 * t[near] + rng.uniform(0, 6))
 
 
 def straighten(slip: Array, t: Array, kind: str, at: float, rng: np.random.Generator) -> None:
-    """Set the slip angle to noise of 0.002 rad on the straights of a stream."""
+    """Set the slip angle to noise of 0.002 rad on the straights of a stream.
+
+    Parameters
+    ----------
+    slip : ndarray, shape (N,)
+        Slip angles [rad], changed in place.
+    t : ndarray, shape (N,)
+        Times [s].
+    kind : str
+        Change or fault, as in `tire`.
+    at : float
+        Time of the change or fault [s].
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
     if kind in ("straight", "mixed"):
         straight = t >= at if kind == "straight" else t % 150 > 90
         slip[straight] = 0.002 * rng.standard_normal(np.count_nonzero(straight))
@@ -218,7 +270,23 @@ def spoil(
     at: float,
     rng: np.random.Generator,
 ) -> None:
-    """Change the measured columns in place as the kind of fault says; see `tire`."""
+    """Change the measured columns in place as the kind of fault says.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (N,)
+        The columns, with "time" [s].
+    outputs : sequence of str
+        Columns of the outputs.
+    noise : sequence of float
+        Standard deviation of the noise of each output.
+    kind : str
+        Change or fault, as in `tire`.
+    at : float
+        Time of the change or fault [s].
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
     t = columns["time"].copy()
     fault = (t >= at) & (t < at + 5)
     if kind.endswith("outliers"):
@@ -242,12 +310,40 @@ def spoil(
 
 
 def present(t: Array, kind: str, at: float) -> NDArray[np.bool_]:
-    """Return the mask (N,) of the rows that arrive."""
+    """Return the mask of the rows that arrive.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Times [s].
+    kind : str
+        Change or fault, as in `tire`.
+    at : float
+        Time of the change or fault [s].
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        False for missing rows.
+    """
     return (t < at) | (t >= at + 5) if kind == "missing" else np.full(t.size, True)
 
 
 def period(kind: str, at: float) -> tuple[float | None, float | None]:
-    """Return the times [s] between which a change or a fault of this kind lasts."""
+    """Return the times between which a change or a fault lasts.
+
+    Parameters
+    ----------
+    kind : str
+        Change or fault, as in `tire`.
+    at : float
+        Time of the change or fault [s].
+
+    Returns
+    -------
+    tuple of float or None
+        Start and end [s]; None for a kind that lasts all the time, or for none.
+    """
     seconds = {"ramp": 10.0, "dropout": 5.0, "missing": 5.0, "frozen": 5.0, "time": 5.0}
     if kind in SUDDEN:
         return at, at + 0.2
