@@ -25,7 +25,10 @@ first use. Its arguments are the path and the arguments of `Template.model_for`.
 class Template(Protocol):
     """An object that becomes a model when columns and free parameters are known.
 
-    `with_parameters` is an example of such a model, as Python text.
+    Attributes
+    ----------
+    with_parameters : str
+        An example of such a model, as Python text.
     """
 
     with_parameters: str
@@ -39,7 +42,24 @@ class Template(Protocol):
         fixed: Mapping[str, float],
         tied: Mapping[str, str],
     ) -> Stated:
-        """Return the model, bounds and start from the arguments of `miho.fit`."""
+        """Return the model, bounds and start from the arguments of `miho.fit`.
+
+        Parameters
+        ----------
+        x, y, start, fixed, tied
+            As for `miho.fit`.
+        space : Space, mapping or collection of str
+            Bounds of the free parameters, or their names alone.
+
+        Returns
+        -------
+        model : Model
+            The model.
+        bounds : Space, mapping or None
+            Bounds of the free parameters.
+        start : mapping of str to float or None
+            Start of the fit.
+        """
 
 
 @runtime_checkable
@@ -53,10 +73,45 @@ class Signed(Protocol):
         convention: str,
         ranges: Mapping[str, Sequence[float] | None] | None,
     ) -> tuple[dict[str, Array], Array]:
-        """Return inputs and output in the model's signs; raises ValueError if one is impossible."""
+        """Return inputs and output in the model's signs.
+
+        Parameters
+        ----------
+        inputs : mapping of str to ndarray, shape (N,)
+            Columns of the inputs.
+        output : ndarray, shape (N,)
+            Column of the output.
+        convention : str
+            Name of the sign convention of the columns.
+        ranges : mapping of str to sequence of float, or None
+            Ranges of the inputs, in the model's signs, to which the rows are limited.
+
+        Returns
+        -------
+        inputs : dict of str to ndarray, shape (N,)
+            Columns of the inputs.
+        output : ndarray, shape (N,)
+            Column of the output.
+
+        Raises
+        ------
+        ValueError
+            If a value is impossible.
+        """
 
     def check_signs(self, inputs: Mapping[str, Array]) -> None:
-        """Raise ValueError for inputs that are not in the model's signs."""
+        """Check the signs of inputs.
+
+        Parameters
+        ----------
+        inputs : mapping of str to ndarray, shape (N,)
+            Columns of the inputs.
+
+        Raises
+        ------
+        ValueError
+            If inputs are not in the model's signs.
+        """
 
 
 @runtime_checkable
@@ -64,11 +119,40 @@ class Writable(Protocol):
     """A model that can be written as a file of its field."""
 
     def write(self, values: Mapping[str, float], path: str | os.PathLike[str]) -> None:
-        """Write a file with these values of the parameters."""
+        """Write a file.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values of the parameters.
+        path : path-like
+            The file.
+        """
 
 
 def model_of_file(path: str | os.PathLike[str]) -> Callable[..., Stated]:
-    """The function that makes a model from this file; raises ValueError for other suffixes."""
+    """Return the function that makes a model from a file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    callable
+        Its arguments are the path and the arguments of `Template.model_for`.
+
+    Raises
+    ------
+    ValueError
+        If no function is known for the suffix of the file.
+
+    Examples
+    --------
+    >>> model_of_file("car.tir").__name__
+    'tire_model'
+    """
     place = FILES.get(Path(path).suffix.lower())
     if place is None:
         suffixes = ", ".join(FILES)

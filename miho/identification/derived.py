@@ -25,9 +25,21 @@ parameter changes by at least STEP."""
 
 
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
-    """The derived quantities of a model.
+    """Return the derived quantities of a model.
 
     A joint model has the quantities of each part. Fixed and tied parameters come first.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    dataset : Dataset
+        Its data, on which quantities may depend.
+
+    Returns
+    -------
+    tuple of Derived
+        The quantities.
     """
     if isinstance(model, Tied):
         return _tied(model, dataset)
@@ -73,29 +85,81 @@ def _chosen(quantity: Derived, places: list[int], thetas: Array) -> Array:
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
-    """Value and standard error of a derived quantity, to first order in the parameters.
+    """Return value and standard error of a derived quantity, to first order in the parameters.
 
-    The error is NaN if the quantity depends only on parameters at a bound.
+    Parameters
+    ----------
+    quantity : Derived
+        The quantity.
+    at : Linearised
+        The model at the optimum.
+
+    Returns
+    -------
+    value, error : float
+        In the unit of the quantity. The error is NaN if the quantity depends only on parameters at
+        a bound.
     """
     value = float(quantity.evaluate(at.theta[None])[0])
     return value, float(at.spread(_slopes(quantity, at)[None])[0])
 
 
 def interval_of(quantity: Derived, at: Linearised, level: float) -> Array:
-    """The ends (1, 2) of the linearised interval of a derived quantity."""
+    """Return the linearised interval of a derived quantity.
+
+    Parameters
+    ----------
+    quantity : Derived
+        The quantity.
+    at : Linearised
+        The model at the optimum.
+    level : float
+        Confidence level.
+
+    Returns
+    -------
+    ndarray, shape (1, 2)
+        Lower and upper end, in the unit of the quantity.
+    """
     value, error = delta_method(quantity, at)
     reach = float(at.quantiles(gradient(quantity, at)[None], level)[0]) * error
     return np.array([[value - reach, value + reach]])
 
 
 def is_held(quantity: Derived, at: Linearised) -> bool:
-    """Whether a derived quantity depends only on parameters at a bound."""
+    """Whether a derived quantity depends only on parameters at a bound.
+
+    Parameters
+    ----------
+    quantity : Derived
+        The quantity.
+    at : Linearised
+        The model at the optimum.
+
+    Returns
+    -------
+    bool
+        False for a quantity that depends on no parameter.
+    """
     slopes = _slopes(quantity, at)
     return bool(slopes[at.at_bound].any() and not slopes[~at.at_bound].any())
 
 
 def gradient(quantity: Derived, at: Linearised) -> Array:
-    """Derivatives (d,) of a derived quantity, 0 for parameters at a bound."""
+    """Return the derivatives of a derived quantity by the parameters.
+
+    Parameters
+    ----------
+    quantity : Derived
+        The quantity.
+    at : Linearised
+        The model at the optimum.
+
+    Returns
+    -------
+    ndarray, shape (d,)
+        Derivatives, 0 for parameters at a bound.
+    """
     return np.where(at.at_bound, 0.0, _slopes(quantity, at))
 
 
