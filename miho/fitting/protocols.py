@@ -84,7 +84,7 @@ class Signed(Protocol):
         convention : str
             Name of the sign convention of the columns.
         ranges : mapping of str to sequence of float, or None
-            Ranges of the inputs, in the model's signs, to which the rows are limited.
+            Bounds of the largest magnitude of a column, see `miho.data.measurements.Layout`.
 
         Returns
         -------

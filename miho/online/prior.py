@@ -26,8 +26,8 @@ def start_of(
     system : System
         The tracked system.
     prior : Report or mapping of str to (value, standard deviation) or None
-        Knowledge from before. A parameter that it does not know starts from the prior of its
-        `Parameter`, or from the middle of its bounds.
+        Knowledge from before. Without it, and for names that a mapping lacks, a parameter starts
+        from the prior of its `Parameter`, or from the middle of its bounds.
 
     Returns
     -------
