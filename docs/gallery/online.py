@@ -1,9 +1,9 @@
 """How fast does a car notice that its front grip has fallen, and how sure is it?
 
 A tracker starts from the report of an offline fit and takes one row after another at 50 Hz. After
-30 s the grip D falls by 31 % within 0.2 s. The tracker raises an alarm in words, and keeps the rows
-that inform it; a fit of these rows is the next offline report. The data are simulated (seed 0).
-[Online](../online.md) explains the method.
+30 s the grip D falls by 31 % within 0.2 s. The tracker raises an alarm in words. It also keeps the
+rows that inform the parameters most; a fit of these rows gives the next offline report. The data
+are simulated (seed 0). [Online](../online.md) explains the method.
 """
 
 import matplotlib.pyplot as plt
