@@ -19,6 +19,11 @@ PUBLIC = [
     for page in PAGES
     for name in re.findall(r"^        - (\w+)$", page, re.MULTILINE)
 ]
+PUBLIC += [
+    (package, name)
+    for package in ("baselines.online", "miho.vehicle.driving")  # without a page of the manual
+    for name in import_module(package).__all__
+]
 EXAMPLES = [
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
     for folder in ("miho", "baselines")
