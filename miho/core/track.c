@@ -10,6 +10,7 @@
 #define LEAST_WEIGHT (-1e6)
 #define SMALLEST 1e-300
 #define LARGEST_NOISE 1e6
+#define BEYOND 1e150           /* errors and deviations whose squares leave the range of doubles */
 #define RISE 1.02
 #define TOGETHER 0.5
 #define NEGLIGIBLE 1e-6        /* weight in an interval */
@@ -255,6 +256,11 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
     S += r;
     double share = rules->number[OUTLIERS] * to->inlier + TOGETHER * (1.0 - to->inlier);
     double wide = S + rules->number[WIDTH] * r;
+    if (!(fabs(e) < BEYOND && LARGEST_NOISE * wide < BEYOND * BEYOND)) { /* says nothing */
+        if (to->counts) at->weight[s] += log_of(SMALLEST);
+        to->inlier = 1.0 / LARGEST_NOISE;
+        return 0.0;
+    }
     double inlier = (1.0 - share) * exp_of(-0.5 * e * e / S) / sqrt(S);
     double both = inlier + share * exp_of(-0.5 * e * e / wide) / sqrt(wide) + SMALLEST;
     if (to->counts) at->weight[s] += log_of(both);

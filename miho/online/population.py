@@ -24,6 +24,8 @@ LEAST_WEIGHT = -1e6
 SMALLEST = 1e-300
 LARGEST_NOISE = 1e6
 """Largest factor by which a suspected outlier is less certain, as one over its share of inliers."""
+BEYOND = 1e150
+"""Errors and deviations whose squares leave the range of doubles."""
 TOGETHER = 0.5
 """Probability that an output is an outlier if another one of the row is."""
 RISE = 1.02
@@ -238,7 +240,8 @@ class Population:
         grown = self._drift(living, seconds)
         if usable.any():
             row, noise = self._smoothed(x, seconds)
-            teaches = self._learn(living, grown, row, noise, np.where(usable, y, math.nan))
+            with np.errstate(over="ignore", invalid="ignore"):
+                teaches = self._learn(living, grown, row, noise, np.where(usable, y, math.nan))
         best, first = self._judge(living)
         if usable.any() and self["row"] % self.rules.every == 0 and teaches[best]:
             self._bear(best, first)
@@ -341,6 +344,10 @@ class Population:
             Pj = P @ j
             S = float(j @ Pj) + variance[o]
             wide = S + rules.width * variance[o]
+            if not (abs(e) < BEYOND and LARGEST_NOISE * wide < BEYOND**2):  # says nothing
+                self.weight[s] += math.log(SMALLEST)
+                together = 1 / LARGEST_NOISE
+                continue
             share = rules.outliers * together + TOGETHER * (1 - together)
             inlier = (1 - share) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
             outlier = share * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)

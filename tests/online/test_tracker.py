@@ -14,6 +14,7 @@ import miho
 from miho import CurveFit, Dataset, Parameter, Space, Tracker
 from miho.models.identified import parameters_text
 from miho.online import Alarm, OnlineMethod, TrackerSettings, TrackerState
+from miho.online.population import Population
 from miho.online.state import Change, alarm_of
 
 SIGMA = 0.03
@@ -175,6 +176,26 @@ def test_faults(fault: str) -> None:
     error = np.abs([state.values["D"] - 1 for state in states[300:]])
     assert error.max() < 0.03
     assert error[-50:].max() < 0.015
+
+
+@pytest.mark.parametrize("by_machine", [True, False])
+@pytest.mark.parametrize("column", ["x", "y"])
+@pytest.mark.parametrize("value", [1e154, 1e200, 1e308])
+def test_a_value_whose_square_is_no_double_does_no_harm(
+    value: float, column: str, by_machine: bool
+) -> None:
+    rng = np.random.default_rng(3)
+    rows = {"x": rng.uniform(0.5, 1.5, 60)}
+    rows["y"] = 2 * rows["x"] + 1 + SIGMA * rng.standard_normal(60)
+    run = Tracker(problem_of(line, x=rows["x"], y=rows["y"]), {"a": (2.0, 0.1), "b": (1.0, 0.1)})
+    old = run._population
+    run._population = Population(old.layout, old.rules, old.formula, by_machine)
+    run._population.memory[:] = old.memory
+    rows[column][30] = value
+    state = run.update(rows)
+    assert np.all(np.abs(state.theta - [2.0, 1.0]) < 4 * state.deviations)
+    assert np.all(state.deviations < 0.1)
+    assert state.alarm is None
 
 
 def test_several_rows_are_rows_one_by_one() -> None:
