@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import socket
@@ -72,16 +73,21 @@ class Socket(Source):
                 except OSError:  # closed from another thread
                     return
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                with connection, connection.makefile("rw", encoding="utf-8") as client:
+                with (
+                    connection,
+                    contextlib.suppress(OSError),  # the client has gone
+                    connection.makefile("rw", encoding="utf-8", errors="replace") as client,
+                ):
                     self._client = client
                     yield from iter(client.readline, "")
                 self._client = None
 
     def answer(self, text: str) -> None:
-        """Send the state to the client."""
+        """Send the state to the client, unless it has gone."""
         if self._client is not None:
-            self._client.write(text + "\n")
-            self._client.flush()
+            with contextlib.suppress(OSError):
+                self._client.write(text + "\n")
+                self._client.flush()
 
 
 class Replay(Source):
@@ -131,9 +137,10 @@ def parsed(line: str, needed: tuple[str, ...]) -> dict[str, float]:
     Raises ValueError in one sentence if the line is not an object of numbers.
     """
     try:
-        row: Any = json.loads(line)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"the line is {line[:60]!r}; expected JSON ({error.msg})") from None
+        row: Any = json.loads(line, parse_int=float)
+    except (ValueError, RecursionError) as error:
+        reason = getattr(error, "msg", error)
+        raise ValueError(f"the line is {line[:60]!r}; expected JSON ({reason})") from None
     if not isinstance(row, dict):
         raise ValueError(f"the row is {line[:60]!r}; expected an object of numbers by column")
     if not set(row) & set(needed):

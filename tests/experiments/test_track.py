@@ -7,6 +7,7 @@ import json
 import math
 import os
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -112,6 +113,14 @@ def test_an_interrupt_keeps_the_states_so_far(tmp_path: Path) -> None:
     assert len((tmp_path / "states.csv").read_text().splitlines()) == 11
 
 
+def test_a_line_of_any_size_is_a_row_or_an_error() -> None:
+    """An integer that is no double is infinite; brackets may be nested without end."""
+    row = parsed('{"x": 1' + 5000 * "0" + ', "y": 2}', ("x", "y"))
+    assert row == {"x": math.inf, "y": 2.0}
+    with pytest.raises(ValueError, match=r"the line is '\[\[.*; expected JSON \(maximum recursion"):
+        parsed(100_000 * "[", ("x", "y"))
+
+
 def test_a_missing_column_is_unknown() -> None:
     """Null and a missing column are NaN, and further columns are kept."""
     row = parsed('{"x": 1, "y": null, "time": 2}', ("x", "y", "z"))
@@ -144,6 +153,32 @@ def test_a_client_of_the_socket_gets_a_state_for_each_row(tmp_path: Path) -> Non
     source.server.shutdown(socket.SHUT_RDWR)
     source.server.close()
     server.join(timeout=20)
+
+
+def test_a_client_that_goes_in_the_middle_of_a_line_does_not_end_the_session(
+    tmp_path: Path,
+) -> None:
+    """The connection is reset with states unread; the next client gets its states."""
+    source = Socket(port=0)
+    session = Session(tracker(), ("x", "y"), tmp_path)
+    server = threading.Thread(target=session.run, args=(source,), daemon=True)
+    server.start()
+    for text in (b'{"x": 1, "y": 2}\n' * 100 + b'{"x": 1, "y"', b"\xff\n"):
+        with socket.create_connection(("127.0.0.1", source.port), timeout=20) as connection:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            connection.sendall(text)
+            connection.recv(1)
+    with (
+        socket.create_connection(("127.0.0.1", source.port), timeout=20) as connection,
+        connection.makefile("rw", encoding="utf-8") as client,
+    ):
+        client.write('{"x": 1, "y": 2}\n')
+        client.flush()
+        assert json.loads(client.readline())["values"]["a"] == pytest.approx(2, abs=0.1)
+    source.server.shutdown(socket.SHUT_RDWR)
+    source.server.close()
+    server.join(timeout=20)
+    assert not server.is_alive()
 
 
 CLIENT = r"""
