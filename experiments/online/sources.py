@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import socket
@@ -39,6 +40,8 @@ class Lines(Source):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self.stream = sys.stdin if stream is None else stream
+        if stream is None and isinstance(sys.stdin, io.TextIOWrapper):
+            sys.stdin.reconfigure(encoding="utf-8", errors="replace")
 
     def rows(self) -> Iterator[str]:
         """Yield each line as soon as it has arrived."""

@@ -121,6 +121,13 @@ def test_a_line_of_any_size_is_a_row_or_an_error() -> None:
         parsed(100_000 * "[", ("x", "y"))
 
 
+def test_bytes_that_are_no_text_are_a_bad_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stdin is read as UTF-8 in every locale."""
+    stdin = io.TextIOWrapper(io.BytesIO(b"\xff\n{}\n"), encoding="ascii")
+    monkeypatch.setattr("sys.stdin", stdin)
+    assert list(Lines().rows()) == ["\ufffd\n", "{}\n"]
+
+
 def test_a_missing_column_is_unknown() -> None:
     """Null and a missing column are NaN, and further columns are kept."""
     row = parsed('{"x": 1, "y": null, "time": 2}', ("x", "y", "z"))
