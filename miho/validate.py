@@ -32,6 +32,12 @@ def positive(field: str, value: float, unit: str = "") -> None:
         raise ValueError(f"{field} is {value!r}; expected a positive number{unit and f' {unit}'}")
 
 
+def between_0_and_1(field: str, value: float) -> None:
+    """Raise ValueError unless `value` is a number above 0 and below 1."""
+    if not _is_number(value) or not 0 < value < 1:
+        raise ValueError(f"{field} is {value!r}; expected a number between 0 and 1")
+
+
 def settings_at_least(settings: object, names: Iterable[str], low: float) -> None:
     """Apply `at_least` to the attributes with these names."""
     for name in names:

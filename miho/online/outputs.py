@@ -101,9 +101,11 @@ def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = Non
     ValueError
         If a model needs all rows in order, if sigma is unknown, or if problems do not agree.
     """
-    each = [problems] if isinstance(problems, CurveFit) else list(problems)
-    if not each or not all(isinstance(problem, CurveFit) for problem in each):
-        raise ValueError(f"problem is {problems!r}; expected a CurveFit, or one for each output")
+    each = [problems] if isinstance(problems, CurveFit) else problems
+    if not isinstance(each, Sequence) or not each or not all(isinstance(p, CurveFit) for p in each):
+        raise ValueError(
+            f"problem is {problems!r:.60}; expected a CurveFit, one for each output, or a report"
+        )
     outputs = [output for problem in each for output in _outputs(problem, noise)]
     columns = [output.column for output in outputs]
     for name in columns:

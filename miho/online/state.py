@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from miho.core import machine
 from miho.quantities import Array
+from miho.validate import between_0_and_1
 
 SIGNIFICANT = 2.0
 """Standard errors from which a change of one parameter is significant."""
@@ -243,7 +244,13 @@ class TrackerState:
         -------
         ndarray, shape (d, 2)
             Lower and upper ends, within the bounds.
+
+        Raises
+        ------
+        ValueError
+            If `level` is not between 0 and 1.
         """
+        between_0_and_1("level", level)
         if self.mixture is None:
             reach = float(scipy.special.ndtri((1 + level) / 2)) * self.deviations
         else:

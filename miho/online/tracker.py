@@ -25,7 +25,7 @@ from miho.online.prior import place_of, start_of
 from miho.online.slopes import row_formula
 from miho.online.state import Alarm, Change, TrackerState, alarm_of
 from miho.quantities import Array
-from miho.validate import at_least, positive, whole
+from miho.validate import at_least, between_0_and_1, positive, whole
 
 JUMP = 0.35
 """Share of its value by which a parameter may jump, unless `changes` says otherwise."""
@@ -98,9 +98,7 @@ class TrackerSettings(OnlineMethod):
 
     def __post_init__(self) -> None:
         for name in ("hazard", "outliers"):
-            value = getattr(self, name)
-            if not 0 < value < 1:
-                raise ValueError(f"{name} is {value!r}; expected a number between 0 and 1")
+            between_0_and_1(name, getattr(self, name))
         for name in ("width", "near", "use", "smooth", "gap", "cap"):
             positive(name, getattr(self, name))
         at_least("hold", self.hold, 0.0)
@@ -233,7 +231,7 @@ class Tracker(Running):
         Raises
         ------
         ValueError
-            If a column is missing, or columns differ in length.
+            If a column is missing or not of numbers, or columns differ in length.
         """
         began = time.perf_counter()
         alarm, estimate, population = None, None, self._population
@@ -308,7 +306,7 @@ class Tracker(Running):
         Raises
         ------
         ValueError
-            If there is no such output.
+            If there is no such output, or `level` is not between 0 and 1.
         """
         return present_parameters(self.system, self._output(output), self.state, level)
 
@@ -368,20 +366,22 @@ class Tracker(Running):
                 f"rows: no column {error.args[0]!r}; expected {', '.join(self._names)}, and NaN "
                 "for a missing value"
             ) from None
+        except (TypeError, IndexError):
+            kind = type(rows).__name__
+            raise ValueError(f"rows is a {kind}; expected a Dataset, or columns by name") from None
         if isinstance(numbers[0], float | int):
             numbers.append(columns.get(TIME, first))
             with contextlib.suppress(TypeError, ValueError):
                 return np.array([numbers], dtype=float)
-        values = [np.atleast_1d(np.asarray(column, dtype=float)) for column in numbers]
+        values = [_column(name, column) for name, column in zip(self._names, numbers, strict=False)]
         count = values[0].size
-        times = columns.get(TIME, first + self.period * np.arange(count))
-        values.append(np.atleast_1d(np.asarray(times, dtype=float)))
-        for name, column in zip([*self._names, TIME], values, strict=False):
+        values.append(_column(TIME, columns.get(TIME, first + self.period * np.arange(count))))
+        for name, column in zip([*self._names, TIME], values, strict=True):
             if column.shape != (count,):
                 raise ValueError(
                     f"rows: column {name!r} has the shape {column.shape}; expected ({count},)"
                 )
-        return np.column_stack(values[: len(self._names)] + values[-1:])
+        return np.column_stack(values)
 
     def _snapshot(self, estimate: Array, alarm: Alarm | None, seconds: float) -> TrackerState:
         population = self._population
@@ -400,6 +400,14 @@ class Tracker(Running):
             scale=self._scale,
             bounds=self._bounds,
         )
+
+
+def _column(name: str, column: Any) -> Array:
+    """The numbers (n,) of a column."""
+    try:
+        return np.atleast_1d(np.asarray(column, dtype=float))
+    except (TypeError, ValueError):
+        raise ValueError(f"rows: column {name!r} is {column!r:.60}; expected numbers") from None
 
 
 def _settings(settings: Mapping[str, Any]) -> TrackerSettings:

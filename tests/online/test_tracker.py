@@ -406,6 +406,7 @@ def test_a_state_is_printed_in_one_line() -> None:
             "input_noise.slip is -0.1; expected a number of at least",
         ),
         ({"hazards": 0.1}, "no setting 'hazards'; expected one of hazard"),
+        ({"hazard": "rare"}, "hazard is 'rare'; expected a number between 0 and 1"),
         ({"hazard": 0.0}, "hazard is 0.0; expected a number between 0 and 1"),
         ({"drifts": (1.0, 2.0)}, "drifts is .*; expected three numbers"),
         ({"slots": 3}, "slots is 3; expected a whole number of at least 4"),
@@ -421,6 +422,9 @@ def test_errors_of_problems_and_rows() -> None:
     problem = problem_of()
     with pytest.raises(ValueError, match="expected a CurveFit"):
         Tracker([])
+    fit: Any = force
+    with pytest.raises(ValueError, match="expected a CurveFit, one for each output, or a report"):
+        Tracker(fit)
     with pytest.raises(ValueError, match="the output 'y' occurs twice"):
         Tracker([problem, problem])
     with pytest.raises(ValueError, match="has no sigma; give sigma, or the report"):
@@ -434,6 +438,15 @@ def test_errors_of_problems_and_rows() -> None:
         run.update({"slip": 0.1})
     with pytest.raises(ValueError, match=r"column 'y' has the shape \(2,\); expected \(3,\)"):
         run.update({"slip": [0.1, 0.2, 0.3], "y": [1.0, 2.0]})
+    with pytest.raises(ValueError, match="column 'y' is 'one'; expected numbers"):
+        run.update({"slip": 0.1, "y": "one"})
+    with pytest.raises(ValueError, match="column 'time' is 1j; expected numbers"):
+        run.update({"slip": 0.1, "y": 1.0, "time": 1j})
+    rows: Any = [{"slip": 0.1, "y": 1.0}]
+    with pytest.raises(ValueError, match="rows is a list; expected a Dataset, or columns by name"):
+        run.update(rows)
+    with pytest.raises(ValueError, match="level is 95; expected a number between 0 and 1"):
+        run.parameters(level=95)
     with pytest.raises(ValueError, match="no row has informed 'y'"):
         run.dataset()
     with pytest.raises(ValueError, match="output is 'z'; expected one of y"):
