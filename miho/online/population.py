@@ -26,6 +26,8 @@ LARGEST_NOISE = 1e6
 """Largest factor by which a suspected outlier is less certain, as one over its share of inliers."""
 BEYOND = 1e150
 """Errors and deviations whose squares leave the range of doubles."""
+MOST_TRACKED = 64
+"""Largest number of hypotheses, parameters, outputs or inputs in the machine, as in track.h."""
 TOGETHER = 0.5
 """Probability that an output is an outlier if another one of the row is."""
 RISE = 1.02
@@ -179,8 +181,9 @@ class Population:
             views[name] for name in ("peak", "informed", "mean", "variance")
         )
         self.last, self.repeats = views["last"], views["repeats"]
-        tape = formula.tape.in_machine if isinstance(formula, TapedFormula) and by_machine else None
         sizes = layout.K, layout.d, layout.m, layout.p, layout.q
+        able = by_machine and max(sizes) <= MOST_TRACKED
+        tape = formula.tape.in_machine if isinstance(formula, TapedFormula) and able else None
         self._machine = None if tape is None else (machine().track, tape, sizes, rules.packed)
 
     def begin(self, theta: Array, covariance: Array, peak: Array) -> None:

@@ -278,6 +278,16 @@ def test_a_function_that_branches_is_tracked_by_differences() -> None:
         assert (state.alarm is None) == (same.alarm is None)
 
 
+def test_a_model_too_large_for_the_machine_is_tracked_in_numpy() -> None:
+    """With 65 inputs, of which only the first is not 0."""
+    names = [f"x{k}" for k in range(65)]
+    total: Any = eval(f"lambda {', '.join(names)}, *, a: a * ({' + '.join(names)})")
+    columns = {name: np.full(30, float(name == "x0")) for name in names}
+    run = Tracker(problem_of(total, **columns, y=np.full(30, 2.0)), {"a": (2.2, 0.2)})
+    run.update({**columns, "y": 2 + SIGMA * np.random.default_rng(0).standard_normal(30)})
+    assert abs(run.state.values["a"] - 2) < 3 * SIGMA / np.sqrt(30)
+
+
 def test_outputs_of_a_joint_fit_share_parameters() -> None:
     rng = np.random.default_rng(0)
     x = rng.uniform(0.5, 1.5, 80)
