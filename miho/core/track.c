@@ -160,10 +160,10 @@ static void smooth_inputs(const track_sizes *of, population *at, const rules_of 
             at->mean[k] += b * away;
             at->variance[k] = (1.0 - b) * (at->variance[k] + b * (away * away));
         }
-        double kept = 1.0 - square / (at->variance[k] > SMALLEST ? at->variance[k] : SMALLEST);
-        kept = kept > 0.0 ? kept : 0.0;
-        to->row[k] = at->mean[k] + kept * (row[k] - at->mean[k]);
-        to->noise[k] = rules->noise[k] * sqrt(kept);
+        double shrunk = square / (at->variance[k] > SMALLEST ? at->variance[k] : SMALLEST);
+        shrunk = shrunk < 1.0 ? shrunk : 1.0;
+        to->row[k] = row[k] - shrunk * (row[k] - at->mean[k]); /* exact with a mean far away */
+        to->noise[k] = rules->noise[k] * sqrt(1.0 - shrunk);
     }
 }
 

@@ -281,9 +281,9 @@ class Population:
         self.mean[:] = np.where(unseen, x[:q], self.mean + b * away)
         seen = (1 - b) * (np.where(unseen, 0.0, self.variance) + b * away**2)
         self.variance[:] = np.where(unseen, LARGEST_NOISE * rules.noise**2, seen)
-        kept = np.maximum(0.0, 1 - rules.noise**2 / np.maximum(self.variance, SMALLEST))
-        row[:q] = self.mean + kept * (x[:q] - self.mean)
-        return row, rules.noise * np.sqrt(kept)
+        shrunk = np.minimum(rules.noise**2 / np.maximum(self.variance, SMALLEST), 1.0)
+        row[:q] -= shrunk * (x[:q] - self.mean)  # exact with a mean far away
+        return row, rules.noise * np.sqrt(1 - shrunk)
 
     def _drift(self, living: NDArray[np.intp], seconds: float) -> Array:
         """Widen hypotheses by their drift; returns the share (K, d) of the variance that is new."""
