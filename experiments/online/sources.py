@@ -17,6 +17,7 @@ import numpy as np
 
 from baselines.online import Stream
 from miho.data import Dataset
+from miho.validate import positive, whole
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 """Hosts that only programs of this machine reach."""
@@ -60,6 +61,7 @@ class Socket(Source):
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        whole("stream.port", port, 0, 65_535)
         self.server = socket.create_server((host, port))
         self.port = self.server.getsockname()[1]
         self._client: TextIO | None = None
@@ -107,6 +109,8 @@ class Replay(Source):
     """
 
     def __init__(self, dataset: Dataset, period: float, rate: float | None = None) -> None:
+        if rate is not None:
+            positive("stream.rate", rate)
         self.columns = {name: np.asarray(column) for name, column in dataset.columns.items()}
         self.columns.setdefault("time", np.asarray(period * np.arange(len(dataset)), dtype=float))
         self.rate = rate

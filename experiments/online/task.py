@@ -66,7 +66,10 @@ def task_of(cfg: DictConfig) -> Task:
     if problem.sigma is None:
         problem = replace(problem, sigma=report.at.noise)
     print(f"offline data: {len(problem.dataset):,} rows of {problem.dataset.name}", file=sys.stderr)
-    return Task((problem,), report, stated, noise, sources[kind]())
+    try:
+        return Task((problem,), report, stated, noise, sources[kind]())
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
 
 
 def _split(problem: CurveFit, learn: float, period: float) -> tuple[CurveFit, Dataset]:

@@ -143,6 +143,15 @@ def test_a_dataset_without_times_is_replayed_by_its_period() -> None:
     assert [row["time"] for row in Replay(data, 0.1).rows()] == pytest.approx([0.0, 0.1, 0.2])
 
 
+def test_a_source_refuses_a_wrong_rate_and_port() -> None:
+    """Before a row is read."""
+    data = miho.Dataset("d", {"x": np.ones(3), "y": np.ones(3)}, {"x": "", "y": ""}, "y")
+    with pytest.raises(ValueError, match=r"stream.rate is 0; expected a positive number"):
+        Replay(data, 0.1, rate=0)
+    with pytest.raises(ValueError, match=r"stream.port is 99999; expected a whole number"):
+        Socket(port=99_999)
+
+
 def test_a_client_of_the_socket_gets_a_state_for_each_row(tmp_path: Path) -> None:
     """On the loopback, by a client of the standard library."""
     source = Socket(port=0)
