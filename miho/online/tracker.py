@@ -187,6 +187,9 @@ class Tracker(Running):
             problem = problem.problem
         self.settings = _settings(settings)
         positive("period", period)
+        for name, given in (("changes", changes), ("input_noise", input_noise)):
+            if given is not None and not isinstance(given, Mapping):
+                raise ValueError(f"{name} is {given!r}; expected a number for each name")
         self.period = float(period)
         noise = prior.at.noise if isinstance(prior, Report) else None
         self.system = system_of(problem, noise)

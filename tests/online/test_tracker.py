@@ -421,6 +421,8 @@ def test_a_state_is_printed_in_one_line() -> None:
         ({"prior": {"D": 1.0}}, "prior: D is 1.0; expected a value and a standard deviation"),
         ({"prior": {"D": (1.0, 0.0)}}, "prior: D is .*; expected a value and a standard deviation"),
         ({"prior": 3}, "prior is a int; expected a report"),
+        ({"changes": ["D"]}, r"changes is \['D'\]; expected a number for each name"),
+        ({"input_noise": 0.1}, "input_noise is 0.1; expected a number for each name"),
         ({"changes": {"F": 0.3}}, "changes: no parameter 'F'"),
         ({"changes": {"D": -0.3}}, "changes.D is -0.3; expected a positive number"),
         ({"input_noise": {"alpha": 0.1}}, "input_noise: no input 'alpha'; expected one of slip"),
