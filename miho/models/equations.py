@@ -86,7 +86,7 @@ class Equations:
     def rates(self, t: float, u: Array, x: Array, p: Array) -> Array:
         """The derivatives of the states, (S,) or (S, n)."""
         if self._formulas is None:
-            return self._called(self._rates, t, u, x, p)
+            return self._called(self.rates_of, t, u, x, p)
         return _stacked(self._formulas.rates((t, *u, *x, *p)), x.shape[1:])
 
     def observed(self, t: float, u: Array, x: Array, p: Array) -> Array:
@@ -98,7 +98,7 @@ class Equations:
     def rate_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
         """Return derivatives of the rates (S,) by states (S, S) and by parameters (S, d)."""
         if self._formulas is None:
-            return self._differences(self._rates, t, u, x, p)
+            return self._differences(self.rates_of, t, u, x, p)
         return self._split(self._formulas.rate_slopes((t, *u, *x, *p)))
 
     def output_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
@@ -126,7 +126,8 @@ class Equations:
         names = (self.time, *self.inputs, *self.states, *self.parameters)
         return dict(zip(names, (t, *u, *x, *p), strict=True))
 
-    def _rates(self, values: Mapping[str, Any]) -> Sequence[Any]:
+    def rates_of(self, values: Mapping[str, Any]) -> Sequence[Any]:
+        """Return the derivatives of the states for values by name, which may be symbols."""
         return self._one_each(self.rhs(values))
 
     def _one_each(self, result: Any) -> list[Any]:
@@ -163,7 +164,7 @@ class Equations:
         try:
             return np.array(function(self._values(t, u, x, p)), dtype=float)
         except ArithmeticError:  # NaN for division by zero and overflow
-            count = len(self.states) if function == self._rates else len(self.outputs)
+            count = len(self.states) if function == self.rates_of else len(self.outputs)
             return np.full(count, np.nan)
         except (TypeError, ValueError, AttributeError, LookupError) as error:
             raise ValueError(

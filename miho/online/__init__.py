@@ -7,6 +7,7 @@ from miho.exports import at_first_use
 if TYPE_CHECKING:
     from miho.online.calibration import Calibration
     from miho.online.method import OnlineMethod, Running
+    from miho.online.motion import one_step
     from miho.online.state import Alarm, Mixture, TrackerState
     from miho.online.tracker import Tracker, TrackerSettings
 
@@ -19,6 +20,7 @@ __all__ = [
     "Tracker",
     "TrackerSettings",
     "TrackerState",
+    "one_step",
 ]
 
 __getattr__, __dir__ = at_first_use(__name__)

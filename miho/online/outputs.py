@@ -121,7 +121,7 @@ def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:
     if problem.model.ordered:
         raise ValueError(
             f"problem: the model of {problem.name} needs all rows in order; expected a model of "
-            "each row alone, for example the change of a state over one step"
+            "each row alone, as `miho.online.one_step` makes them of a `Trajectory`"
         )
     if not parts:
         data = problem.dataset

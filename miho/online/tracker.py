@@ -18,6 +18,7 @@ from miho.models.identified import Identified
 from miho.online.calibration import Calibration, calibration, fitted_to
 from miho.online.informative import InformativeRows
 from miho.online.method import OnlineMethod, Problems, Rows, Running
+from miho.online.motion import StepRows, is_motion, one_step
 from miho.online.outputs import TIME, Output, System, system_of
 from miho.online.population import Layout, Population, Rules
 from miho.online.present import present_parameters
@@ -137,14 +138,16 @@ class Tracker(Running):
     problem : CurveFit or sequence of CurveFit or Report
         The model of each output, its bounds, and the standard deviation of its errors; or the
         report of its fit, which is then the prior too. The rows of its data give the largest
-        information of a row on each parameter.
+        information of a row on each parameter. The problem of a `Trajectory` becomes one problem
+        for each state (`miho.online.one_step`); `update` then takes measured states and inputs.
     prior : Report or mapping of str to (value, standard deviation), optional
         Knowledge from before; by default the middle of the bounds and a share of their width.
     changes : mapping of str to float, optional
         Parameters that may jump, and the share of their value by which they may; by default each
         free parameter by 0.35. The alarm watches them.
     input_noise : mapping of str to float, optional
-        Standard deviation of the noise of input columns, in their units.
+        Standard deviation of the noise of input columns, in their units. By default inputs have no
+        noise, and the states of a `Trajectory` that of its outputs.
     period : float, optional
         Time between two rows [s], for rows without a column "time".
     **settings
@@ -192,7 +195,12 @@ class Tracker(Running):
                 raise ValueError(f"{name} is {given!r}; expected a number for each name")
         self.period = float(period)
         noise = prior.at.noise if isinstance(prior, Report) else None
+        self._steps: StepRows | None = None
+        if is_motion(problem):
+            self._steps, problem = StepRows.of_problem(problem), one_step(problem)
         self.system = system_of(problem, noise)
+        if self._steps is not None and input_noise is None:
+            input_noise = dict(zip(self._steps.names, self.system.sigma, strict=False))
         deviations = _noise_of(self.system, input_noise or {})
         # Inputs with noise come first.
         self.columns = (*deviations, *(n for n in self.system.inputs if n not in deviations))
@@ -224,7 +232,8 @@ class Tracker(Running):
         ----------
         rows : Dataset or mapping of str
             Columns by name: numbers for one row, arrays for several. The inputs and outputs of
-            the problem are needed, NaN for a missing value; "time" [s] is optional.
+            the problem are needed, NaN for a missing value; "time" [s] is optional. With a
+            `Trajectory`, the time, states and inputs of consecutive rows are needed.
 
         Returns
         -------
@@ -238,6 +247,8 @@ class Tracker(Running):
         """
         began = time.perf_counter()
         alarm, estimate, population = None, None, self._population
+        if self._steps is not None:
+            rows = self._steps.take(rows)
         for row in self._rows(rows):
             estimate = population.update(row)
             if population["alarm"]:
@@ -339,7 +350,9 @@ class Tracker(Running):
         trial = copy.copy(self)
         trial._population = copy.copy(self._population)
         trial._informative = copy.deepcopy(self._informative)
-        trial._scale = 1.0
+        trial._scale, trial._steps = 1.0, None
+        if self._steps is not None:
+            rows = self._steps.anew().take(rows)
         numbers, population = self._rows(rows), self._population
         columns = [*self._names, TIME]
         states = [trial.update(dict(zip(columns, row, strict=True))) for row in numbers.tolist()]

@@ -1,0 +1,167 @@
+"""One step of a differential equation: closed form, the trajectory itself, and a tracker."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from miho import CurveFit, Dataset, Parameter, Space, Tracker
+from miho.data import stacked
+from miho.models import Trajectory
+from miho.online import one_step
+
+STEP = 0.02
+NOISE = {"vy": 0.003, "yaw_rate": 0.002}
+SPEED, LOAD = 20.0, 9.81 / 2
+
+
+def decay(x: Any, force: Any, *, a: Any) -> Any:
+    return force - a * x
+
+
+def bicycle(vy: Any, yaw_rate: Any, steering: Any, *, B: Any, D: Any) -> Any:
+    """The two rates of a car whose axles are 1.3 m from its centre and have equal tires."""
+    front = LOAD * D * np.sin(1.5 * np.arctan(B * (steering - (vy + 1.3 * yaw_rate) / SPEED)))
+    rear = LOAD * D * np.sin(1.5 * np.arctan(B * (1.3 * yaw_rate - vy) / SPEED))
+    return front + rear - SPEED * yaw_rate, (front - rear) / 1.3
+
+
+def decay_problem(interpolation: str = "linear") -> CurveFit:
+    t = np.arange(0, 1, 0.05)
+    data = {"t": t, "force": np.sin(5 * t), "x": 1 + np.cos(t)}
+    model = Trajectory(decay, {"x": "measured"}, ["x"], (), interpolation, restart=1)
+    space = Space((Parameter("a", "-", 0, 5),))
+    units = {"t": "s", "force": "-", "x": "-"}
+    return CurveFit(model, Dataset("decay", data, units, "x"), space, sigma=0.1)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "hold"])
+def test_a_step_is_that_of_the_trajectory(interpolation: str) -> None:
+    problem = decay_problem(interpolation)
+    [after] = one_step(problem)
+    theta = np.array([[1.5]])
+    inputs = [after.dataset[name] for name in after.model.inputs]
+    whole = [problem.dataset[name] for name in problem.model.inputs]
+    expected = problem.model.predict(theta, *whole)[:, 1:]
+    np.testing.assert_allclose(after.model.predict(theta, *inputs), expected, rtol=1e-12)
+    assert after.sigma == 0.1
+
+
+def test_a_step_without_force_is_exponential() -> None:
+    [after] = one_step(decay_problem())
+    step, x, nothing = np.array([0.05]), np.array([2.0]), np.zeros(1)
+    values = {"step": step, "force": nothing, "force_next": nothing, "x": x}
+    found = after.model.predict(np.array([[1.5]]), *(values[n] for n in after.model.inputs))
+    # The next term of the series of exp is (0.075)^5 / 120 = 2e-8.
+    np.testing.assert_allclose(found, 2 * np.exp(-0.075), rtol=3e-8)
+
+
+def rates(motion: Any, steering: float, D: float) -> Any:
+    return np.array(bicycle(motion[0], motion[1], steering, B=12.0, D=D))
+
+
+def drive(seconds: float, fall: float = np.inf, seed: int = 1) -> dict[str, Any]:
+    """Steering near the peak at 50 Hz with ten steps a row; D falls by 35 % at the time `fall`."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(round(seconds / STEP))
+    steering = 0.12 * np.sin(2 * np.pi * 0.4 * t) + 0.03 * np.sin(2 * np.pi * 1.1 * t)
+    motion, now = np.empty((t.size, 2)), np.zeros(2)
+    for k, angle in enumerate(steering):
+        motion[k] = now
+        ahead = steering[min(k + 1, t.size - 1)]
+        D = 0.65 if t[k] >= fall else 1.0
+        for share in (np.arange(10) + 0.5) / 10:
+            delta, h = angle + share * (ahead - angle), STEP / 10
+            middle = now + h / 2 * rates(now, delta, D)
+            now = now + h * rates(middle, delta, D)
+    motion += np.array([*NOISE.values()]) * rng.standard_normal(motion.shape)
+    return {"t": t, "vy": motion[:, 0], "yaw_rate": motion[:, 1], "steering": steering}
+
+
+def car_problem() -> CurveFit:
+    model = Trajectory(bicycle, {"vy": 0.0, "yaw_rate": 0.0}, [*NOISE], [*NOISE.values()])
+    units = {"t": "s", "vy": "-", "yaw_rate": "-", "steering": "-"}
+    data = stacked(Dataset("drive", drive(4.0), units, "vy"), NOISE)
+    space = Space((Parameter("B", "-", 2, 30), Parameter("D", "-", 0.2, 3)))
+    return CurveFit(model, data, space)
+
+
+def car_tracker() -> Tracker:
+    return Tracker(car_problem(), {"B": (12.3, 0.6), "D": (0.98, 0.03)}, {"D": 0.35})
+
+
+def test_a_tracker_of_a_trajectory_follows_a_fall_of_grip() -> None:
+    tracker, rows = car_tracker(), drive(16.0, fall=8.0)
+    states = [
+        tracker.update({name: float(column[k]) for name, column in rows.items()})
+        for k in range(rows["t"].size)
+    ]
+    before, after = (
+        np.array([s.values["D"] for s in states[a:b]]) for a, b in ((200, 399), (500, 800))
+    )
+    np.testing.assert_allclose(before, 1.0, rtol=0.1)
+    np.testing.assert_allclose(after, 0.65, rtol=0.1)
+    [alarm] = [state.alarm for state in states if state.alarm]
+    assert 8.0 <= alarm.time < 9.0
+
+
+def test_rows_at_once_one_by_one_and_after_a_gap() -> None:
+    rows = drive(2.0)
+    at_once, single = car_tracker(), car_tracker()
+    final = at_once.update(rows)
+    for k in range(100):
+        single.update({name: column[k] for name, column in rows.items()})
+        if k == 50:
+            single = pickle.loads(pickle.dumps(single))
+    np.testing.assert_array_equal(single.state.theta, final.theta)
+    assert final.rows == 99
+    later = {name: column[:3] + (10 if name == "t" else 0) for name, column in rows.items()}
+    assert at_once.update(later).rows == 101  # the step of the gap is left out
+    assert at_once.update(rows).rows == 101 + 99
+    assert at_once.dataset("yaw_rate_next").output == "yaw_rate_next"
+    assert [*at_once.parameters().parameters] == ["B", "D"]
+
+
+def test_fixed_parameters_and_scales_stay() -> None:
+    problem = car_problem()
+    space = Space((Parameter("B", "-", fixed=12.0), Parameter("D", "-", 0.2, 3)))
+    fixed = CurveFit(problem.model, problem.dataset, space)
+    for free, part, sigma in zip(one_step(problem), one_step(fixed), NOISE.values(), strict=True):
+        inputs = [part.dataset[name] for name in part.model.inputs]
+        expected = free.model.predict(np.array([[12.0, 0.8]]), *inputs)
+        found = part.model.predict(np.array([[0.8]]), *inputs)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+        assert part.sigma == free.sigma == sigma
+
+
+def test_problems_without_a_step_are_refused() -> None:
+    problem = decay_problem()
+
+    def pushed(x: Any, t: Any, *, a: Any) -> Any:
+        return a * t - x
+
+    def hidden(x: Any, v: Any, force: Any, *, a: Any) -> Any:
+        return v, force - a * x
+
+    def rough(x: Any, *, a: Any) -> Any:
+        return -a if x > 0 else a
+
+    for model, message in (
+        (Trajectory(pushed, {"x": 0.0}, ["x"], units={"t": "s"}), "depends on 't'"),
+        (Trajectory(hidden, {"x": 0.0, "v": 0.0}, ["x"]), "the state 'v' .* is not measured"),
+        (Trajectory(rough, {"x": 0.0}, ["x"]), "rough-decay is not a formula"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Tracker(CurveFit(model, problem.dataset, problem.space, sigma=0.1))
+    with pytest.raises(ValueError, match="no column 'force'; expected t, x, force"):
+        Tracker(problem).update({"time": 0.0, "x": 1.0})
+
+
+def test_a_quiet_record_calibrates_without_a_step_into_it() -> None:
+    tracker, other, rows = car_tracker(), car_tracker(), drive(2.0)
+    calibration = tracker.calibrate(drive(22.0))
+    assert 0 < calibration.scale < 1  # the noise of a state is in two rows
+    np.testing.assert_array_equal(tracker.update(rows).theta, other.update(rows).theta)
