@@ -69,7 +69,8 @@ def one_step(problem: CurveFit) -> tuple[CurveFit, ...]:
     >>> [after] = one_step(miho.CurveFit(model, data, space, sigma=0.01))
     >>> after.dataset.output, list(after.model.inputs)
     ('x_next', ['step', 'x'])
-    >>> float(after.model.predict(np.array([[1.0]]), np.array([0.1]), np.array([2.0]))[0, 0])
+    >>> x_next = after.model.predict(np.array([[1.0]]), np.array([0.1]), np.array([2.0]))
+    >>> round(float(x_next[0, 0]), 6)
     1.809675
     """
     trajectory = _trajectory(problem)
