@@ -42,7 +42,7 @@ SETTINGS = {
 
 
 def track(cfg: DictConfig) -> None:
-    """Feed the method with all rows of the stream, then write what follows from its states."""
+    """Feed the method with all rows of the stream, then write the results."""
     several = HydraConfig.get().mode is RunMode.MULTIRUN
     root = Path(HydraConfig.get().runtime.output_dir if several else cfg.root)
     name = HydraConfig.get().runtime.choices["tracker"]

@@ -219,7 +219,7 @@ def one_step(
     step : float, optional
         Duration of the step [s].
     functions : tuple of callable, optional
-        As for `accelerations`; by default those of NumPy.
+        As for `accelerations`; by default NumPy's functions.
 
     Returns
     -------

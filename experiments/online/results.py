@@ -25,7 +25,7 @@ MOST = 20_000
 def write_session(
     root: Path, running: Running, alarms: Sequence[Alarm], words: Sequence[str], title: str
 ) -> list[Path]:
-    """Write what follows from the states so far, and return the paths."""
+    """Write parameters, informative rows and the page of the states so far; return the paths."""
     written = [root / STATES]
     if isinstance(running, Tracker):
         write_text(root / PARAMETERS, parameters_text(running.parameters(), {}))

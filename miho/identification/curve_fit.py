@@ -277,7 +277,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def _residual_formula(self) -> ResidualFormula | None:
-        """All residuals as a formula, None if there is none."""
+        """All residuals as a formula, or None if the model is no formula."""
         return residual_formula(self._fitted, self._columns, self._target, self.rho, self.prior)
 
     @cached_property

@@ -59,9 +59,9 @@ def calibration(
 ) -> Calibration:
     """Return the calibration from the states of a quiet record and the best fit of the record.
 
-    The record is a part of what the best fit has seen, so the variance of the latter is added to
-    the squared distance of an estimate from it. The scale is a ratio of root mean squares, the
-    largest one of all watched parameters.
+    The best fit uses the same record, so its variance is added to the squared distance between it
+    and an estimate. The scale is a ratio of root mean squares, the largest one of all watched
+    parameters.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def fitted_to(
 
 
 def _of_row(row: Array, formula: RowFormula, rules: Rules, theta: Array) -> tuple[Array, Array]:
-    """Information (d, d) and score (d,) of a row, 0 for what is missing."""
+    """Information (d, d) and score (d,) of a row; missing outputs contribute 0."""
     m = rules.sigma.size
     inputs, outputs = row[: -1 - m], row[-1 - m : -1]
     slopes = formula.at(theta[None], inputs)

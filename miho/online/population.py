@@ -151,7 +151,7 @@ class Rules:
 
 
 class Population:
-    """Hypotheses, each with parameters, covariance, weight, drift, and what it departed from.
+    """Hypotheses, each with parameters, covariance, weight, drift, and values at birth.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def present_parameters(
 
 
 def _tied(model: Tied, theta: Array, covariance: Array, ends: Array) -> tuple[Array, Array, Array]:
-    """Values, covariance and intervals of all parameters; those of tied ones are linearised."""
+    """Values, covariance and intervals of all parameters; tied ones have linearised intervals."""
     ties = model.ties
     count = len(ties.parameters)
     values = ties.values(theta[None])[0, :count]

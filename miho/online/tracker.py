@@ -314,7 +314,7 @@ class Tracker(Running):
         Returns
         -------
         Identified
-            Fixed and tied parameters are those of the present free ones.
+            Tied parameters follow from the present free ones.
             `miho.models.identified.parameters_text` writes it.
 
         Raises
@@ -329,8 +329,8 @@ class Tracker(Running):
 
         Errors of neighbouring rows may depend on each other, as in one-step errors, where the noise
         of a state is in two rows: intervals for independent errors are then too wide or too narrow.
-        The scale is that of the watched parameters around the best fit of the record, in which
-        nothing may change. The threshold is at least the largest odds in the record plus 1.
+        The scale compares the estimates of the watched parameters with the best fit of the record,
+        in which nothing may change. The threshold is at least the record's largest odds plus 1.
 
         Parameters
         ----------

@@ -157,7 +157,7 @@ class Clock:
     Parameters
     ----------
     wall, cpu : callable, optional
-        Return the wall time and the CPU time [s]; by default those of the process. Tests and
+        Return the wall time and the CPU time [s], by default of this process. Tests and
         simulations replace them.
     """
 
