@@ -62,7 +62,7 @@ def track(cfg: DictConfig) -> None:
             if view is not None:
                 view.show(session.last, said, last=True)
             title = f"Parameters tracked by {name}"
-            paths = write_session(root, running, session.alarms, said, title)
+            paths = write_session(root, running, session.alarms, said, title, task.units)
             out = sys.stdout if quiet else sys.stderr
             for text in said:
                 print(f"{name}, seed {cfg.seed}: {text}" if several else text, file=out)

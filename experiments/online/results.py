@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -23,7 +23,12 @@ MOST = 20_000
 
 
 def write_session(
-    root: Path, running: Running, alarms: Sequence[Alarm], words: Sequence[str], title: str
+    root: Path,
+    running: Running,
+    alarms: Sequence[Alarm],
+    words: Sequence[str],
+    title: str,
+    units: Mapping[str, str],
 ) -> list[Path]:
     """Write parameters, informative rows and the page of the states so far; return the paths."""
     written = [root / STATES]
@@ -39,22 +44,27 @@ def write_session(
             written.append(root / INFORMATIVE)
     states = pd.read_csv(root / STATES)
     if len(states) > 1:
-        write_text(root / PAGE, session_page(states, alarms, words, title))
+        write_text(root / PAGE, session_page(states, alarms, words, title, units))
         written.append(root / PAGE)
     return written
 
 
 def session_page(
-    states: pd.DataFrame, alarms: Sequence[Alarm], words: Sequence[str], title: str
+    states: pd.DataFrame,
+    alarms: Sequence[Alarm],
+    words: Sequence[str],
+    title: str,
+    units: Mapping[str, str],
 ) -> str:
     """Return the HTML page of a session: alarms in words, last values, and the figure."""
-    names = [name for name in states.columns if f"{name}_low" in states.columns]
+    names = {n: units.get(n, "") for n in states.columns if f"{n}_low" in states.columns}
     last = states.iloc[-1]
     table = pd.DataFrame({
-        "parameter": names,
+        "parameter": list(names),
         "value": [significant(float(last[name])) for name in names],
         "low": [significant(float(last[f"{name}_low"])) for name in names],
         "high": [significant(float(last[f"{name}_high"])) for name in names],
+        "unit": list(names.values()),
     })  # fmt: skip
     times = {alarm.time: text for alarm, text in zip(alarms, words, strict=True)}
     shown = states.iloc[:: max(1, len(states) // MOST)]

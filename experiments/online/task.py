@@ -34,6 +34,11 @@ class Task:
     stream: Stream | None = None
 
     @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter."""
+        return {p.name: p.unit for problem in self.problems for p in problem.space.parameters}
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Inputs and outputs of all problems."""
         names = [n for p in self.problems for n in (*p.model.inputs, p.dataset.output)]

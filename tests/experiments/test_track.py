@@ -15,9 +15,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import miho
+from baselines.online import tire
+from experiments.online.comparison import score
 from experiments.online.results import write_session
 from experiments.online.session import Session, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
@@ -88,7 +91,7 @@ def test_a_session_can_be_resumed_to_the_last_bit(tmp_path: Path) -> None:
         whole.update(row)
     session = Session(half, ("x", "y"), tmp_path, quiet=True)
     session.run(Answered("\n".join(json.dumps(row) for row in rows()[: N // 2])))
-    paths = write_session(tmp_path, half, session.alarms, [], "a line")
+    paths = write_session(tmp_path, half, session.alarms, [], "a line", {"a": "N"})
     assert {path.name for path in paths} >= {"states.csv", "report.html", "parameters.json"}
     again = tracker()
     replay(again, tmp_path / "rows.jsonl")
@@ -98,6 +101,18 @@ def test_a_session_can_be_resumed_to_the_last_bit(tmp_path: Path) -> None:
     assert isinstance(again, Tracker)
     assert again.state.theta.tolist() == whole.state.theta.tolist()
     assert len((tmp_path / "states.csv").read_text().splitlines()) == N + 1
+
+
+def test_the_delay_of_a_score_is_relative_to_the_new_value(tmp_path: Path) -> None:
+    """D falls by 35 % in 0.2 s and is within 10 % of its new value after 0.163 s, at a row 0.18."""
+    stream = tire("jump", 1, 40.0)
+    truth = stream.truth["D"]
+    columns = {"time": stream.clock, "D": truth, "D_low": truth, "D_high": truth}
+    pd.DataFrame(columns).to_csv(tmp_path / "states.csv", index=False)
+    score(tmp_path, "perfect", 1, stream, [])
+    scored = json.loads((tmp_path / "score.json").read_text())
+    assert scored["within_10"] == pytest.approx(0.18, abs=1e-9)
+    assert (scored["error"], scored["coverage"], scored["alarm"]) == (0.0, 1.0, None)
 
 
 def test_an_interrupt_keeps_the_states_so_far(tmp_path: Path) -> None:

@@ -59,14 +59,17 @@ def plot_parameter(
 
 
 def states_figure(
-    states: pd.DataFrame, names: Sequence[str], alarms: Mapping[float, str]
+    states: pd.DataFrame, units: Mapping[str, str], alarms: Mapping[float, str]
 ) -> Figure:
-    """A panel for each parameter over time; `alarms` are times [s] with their words."""
+    """A panel for each parameter in `units` over time; `alarms` are times [s] with their words."""
     with house_style():
-        figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * len(names)), layout="constrained")
-        panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-        for name, ax in zip(names, panels, strict=True):
+        figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * len(units)), layout="constrained")
+        panels = figure.subplots(len(units), 1, sharex=True, squeeze=False)[:, 0]
+        for (name, unit), ax in zip(units.items(), panels, strict=True):
             plot_parameter(states, name, ax, alarms=list(alarms))
+            ax.set_ylabel(f"{ax.get_ylabel()} [{unit or '-'}]")
+            if ax is not panels[0]:
+                ax.get_legend().remove()
         panels[-1].set_xlabel("time [s]")
         caption(figure, "; ".join(alarms.values()))
         figure.draw_without_rendering()
@@ -141,11 +144,15 @@ def scores_figure(scores: pd.DataFrame) -> Figure:
                 values = factor * scores.loc[scores["tracker"] == tracker, column].astype(float)
                 ax.scatter(values, np.full(len(values), line), s=9, color=BLUE, alpha=0.35)
                 ax.plot(values.median(), line, "o", color="black", markersize=4)
+            ax.margins(x=0.08)
             ax.set_xlabel(label)
             ax.set_xlim(left=0)
             ax.grid(axis="y", visible=False)
         panels[0].set_yticks(range(len(trackers)), trackers)
-        panels[0].invert_yaxis()
-        caption(figure, "light points: seeds; dark: median; no point: never")
+        panels[0].set_ylim(len(trackers) - 0.5, -0.5)
+        caption(
+            figure,
+            "light points: seeds; dark: median; no point: never, or no threshold of the alarm",
+        )
         figure.draw_without_rendering()
     return figure
