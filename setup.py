@@ -77,8 +77,8 @@ machine = Extension(
     "miho.core._machine",
     [str(CORE / f"{name}.c") for name in
      ("module", "module_arrays", "module_climb", "module_many", "module_search", "module_track",
-      "module_trajectory", "evaluate", "climb", "triangular", "steps", "descent", "bracket",
-      "many", "track", "trajectory", "level_baseline", "level_avx2", "level_avx512")],
+      "module_trajectory", "module_triangular", "evaluate", "climb", "triangular", "steps",
+      "descent", "bracket", "many", "track", "trajectory", "level_baseline", "level_avx2", "level_avx512")],
     depends=[str(path) for path in sorted(CORE.glob("*.h"))],
     extra_compile_args=FLAGS,
     extra_link_args=["-Wl,-s"] if sys.platform == "linux" else [],  # without names of functions

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from miho.compiled.factors import fold, solve_in_box
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
     DONE,
@@ -26,7 +27,7 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
     square_distance,
 )
-from miho.compiled.triangular import fold, norm, solve_in_box
+from miho.compiled.triangular import norm
 from miho.compiled.workspace import CHUNK, Work, clear, copy
 from miho.quantities import Array
 

@@ -230,6 +230,8 @@ static PyMethodDef methods[] = {
     {"evaluate", FAST(py_evaluate), evaluate_doc},
     {"mean_squares", FAST(py_mean_squares), mean_squares_doc},
     {"run_bracket", FAST(py_run_bracket), run_bracket_doc},
+    {"fold", FAST(py_fold), fold_doc},
+    {"solve_in_box", FAST(py_solve_in_box), solve_in_box_doc},
     {"climb", FAST(py_climb), climb_doc},
     {"fit_many", FAST(py_fit_many), fit_many_doc},
     {"solve_trajectories", FAST(py_solve_trajectories), solve_trajectories_doc},

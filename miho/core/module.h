@@ -9,6 +9,10 @@
 /* module_search.c */
 extern const char run_bracket_doc[];
 PyObject *py_run_bracket(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* module_triangular.c */
+extern const char fold_doc[], solve_in_box_doc[];
+PyObject *py_fold(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+PyObject *py_solve_in_box(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 /* module_climb.c */
 extern const char climb_doc[];
 PyObject *py_climb(PyObject *module, PyObject *const *arguments, Py_ssize_t count);

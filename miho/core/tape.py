@@ -90,7 +90,7 @@ def machine() -> Any:
     except ImportError:
         sys.stderr.write(NOT_BUILT.format("the library was installed without a C compiler"))
         return None
-    functions = {"run_bracket", "solve_trajectories", "climb", "fit_many", "track"}
+    functions = {"run_bracket", "solve_trajectories", "climb", "fit_many", "track", "solve_in_box"}
     whole = functions <= vars(built).keys()
     if whole and built.operations() == tuple(OPERATIONS):
         return built

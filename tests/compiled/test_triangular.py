@@ -7,8 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from miho.compiled.triangular import fold, solve_in_box, square_sum
+from miho.compiled import factors
+from miho.compiled.factors import fold, solve_in_box
+from miho.compiled.triangular import square_sum
 from miho.compiled.workspace import SolverScratch
+from miho.core import machine
 
 Array = NDArray[np.float64]
 
@@ -16,6 +19,15 @@ Array = NDArray[np.float64]
 BACKWARD = 1e-13
 """Householder's factors are exact for data that differ by some m d times 1e-16 (Higham, Accuracy
 and Stability of Numerical Algorithms, section 19.3), which is 1e-14 to 1e-13 for what is here."""
+
+
+@pytest.fixture(autouse=True, params=["machine", "NumPy"])
+def _form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test runs with the functions of the machine, and with those without it."""
+    if request.param == "NumPy":
+        monkeypatch.setattr(factors, "machine", lambda: None)
+    elif machine() is None:
+        pytest.skip("the machine was not built")
 
 
 def factor(rows: Array, ends: list[int]) -> Array:

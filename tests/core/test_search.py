@@ -92,6 +92,7 @@ def python_steps(sums: bool = True) -> Iterator[None]:
             patch.setattr(python_bracket, "square_sum", square_sum)
             for module in (gauss_newton, python_bracket, triangular):
                 patch.setattr(module, "fold", fold)
+            patch.setattr(gauss_newton, "solve_in_box", triangular.solve_in_box)
         yield
 
 
