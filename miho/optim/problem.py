@@ -162,5 +162,6 @@ class LeastSquaresProblem(Problem):
 
 def mean_square(residuals: Array) -> Array:
     """Mean square over the last axis (Eq. 1); a row has the same bits alone as in a batch."""
+    residuals = np.ascontiguousarray(residuals)  # the order in memory would change the sum
     squares = np.einsum("...i,...i->...", residuals, residuals)
     return np.asarray(squares / residuals.shape[-1])

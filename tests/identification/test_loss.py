@@ -7,6 +7,7 @@ import scipy.optimize
 from miho.identification import Cauchy, Huber, Loss, Square
 from miho.identification.loss import slope
 from miho.identification.refit import refit
+from miho.optim.problem import mean_square
 from tests.identification.published import line
 
 LOSSES = [Square(), Huber(0.7), Cauchy(0.7)]
@@ -61,6 +62,13 @@ def test_the_loss_is_the_mean_square_of_the_residuals() -> None:
         for step in h * np.eye(2)
     ]
     np.testing.assert_allclose(fit.jacobian(theta), np.transpose(numeric), atol=1e-7)
+
+
+def test_the_order_in_memory_does_not_change_a_mean_square() -> None:
+    residuals = np.random.default_rng(0).standard_normal((50, 6))
+    alone = [float(mean_square(row)) for row in residuals]
+    assert mean_square(residuals).tolist() == alone
+    assert mean_square(np.asfortranarray(residuals)).tolist() == alone
 
 
 def test_a_scale_must_be_positive() -> None:
