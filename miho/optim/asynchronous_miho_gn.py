@@ -84,14 +84,14 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         Candidates that continue, and rows of each level; see `MIHOGN`, as for all settings.
     base_cost, max_cost, min_candidates, max_candidates : optional
         Cost of a rung, and number of starting points of a bracket.
-    steps_per_rung, leader_steps, damping, scale_decay, max_step : optional
+    steps_per_rung, leader_steps, max_step : optional
         Steps of a descent.
-    max_secants, projection_period, draws : optional
-        Derivatives, linear parameters, and distribution of starting points.
-    tolerance, level_tolerance, final_tolerance, patience, min_progress : optional
-        End of a descent.
-    doubtful_brackets, doubtful_cost, challenges, max_brackets : optional
-        End of the search.
+    tolerance, level_tolerance, patience, min_progress, max_brackets : optional
+        End of a descent, and of the search.
+    damping, scale_decay, max_secants, projection_period, draws : optional
+        Damping, derivatives, linear parameters, and distribution of starting points.
+    final_tolerance, doubtful_brackets, doubtful_cost, challenges : optional
+        Final descent, and evidence that ends the search.
 
     Raises
     ------

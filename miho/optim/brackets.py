@@ -6,10 +6,11 @@ Shared by `MIHOGN` and `MIHOQN`, which differ in the steps of their descents.
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from miho.optim.schedule import luby
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
@@ -26,42 +27,66 @@ turn. Three are enough for well-chosen bounds; nominal bounds, for example 1e6 f
 more."""
 
 
-def check_brackets(method: Any) -> None:
-    """Raise ValueError if a setting that all methods with brackets share is not possible."""
-    whole("eta", method.eta, 2)
+@dataclass(frozen=True)
+class Brackets:
+    """Settings of brackets, and the sizes that follow from them; see `MIHOGN`."""
+
+    eta: int = 3
+    rows_per_parameter: float = 4.0
+    full_data_share: float = 0.5
+    max_rows_per_parameter: float = 200.0
+    base_cost: float = 0.5
+    max_cost: float = 32.0
+    min_candidates: int = 3
+    max_candidates: int = 243
+    steps_per_rung: int = 3
+    leader_steps: int = 20
+    max_step: float = 0.25
+    tolerance: float = 1e-8
+    level_tolerance: float = 0.1
+    patience: float = 4.0
+    min_progress: float = 0.05
+    max_brackets: int = 200
+
+    def rows_by_level(self, rows: int, d: int) -> tuple[int, ...]:
+        """Number of first rows of each level: `eta` times the previous level's, at last all."""
+        level_rows = [min(rows, max(1, math.ceil(self.rows_per_parameter * d)))]
+        while level_rows[-1] < rows:
+            larger, enough = self.eta * level_rows[-1], self.max_rows_per_parameter * d
+            last = larger > self.full_data_share * rows or level_rows[-1] > enough
+            level_rows.append(rows if last else larger)
+        return tuple(level_rows)
+
+    def sizes(self, bracket: int, d: int, look_cost: float) -> tuple[float, int]:
+        """Evaluations of a rung, and starts of a bracket whose first evaluations cost `look_cost`.
+
+        `bracket` counts from 1.
+        """
+        budget = float((d + 1) * min(self.base_cost * luby(bracket), self.max_cost))
+        n = min(max(round(budget / look_cost), self.min_candidates), self.max_candidates)
+        return budget, n
+
+
+def check_brackets(settings: Brackets) -> None:
+    """Raise ValueError if a setting of brackets is not possible."""
+    whole("eta", settings.eta, 2)
     whole_settings(
-        method,
+        settings,
         ("min_candidates", "max_candidates", "steps_per_rung", "leader_steps", "max_brackets"),
         1,
     )
     positive_settings(
-        method,
+        settings,
         (
             "rows_per_parameter", "full_data_share", "max_rows_per_parameter", "base_cost",
-            "max_cost", "tolerance", "level_tolerance", "patience", "min_progress",
+            "max_cost", "max_step", "tolerance", "level_tolerance", "patience", "min_progress",
         ),
     )  # fmt: skip
-    if method.max_candidates < method.min_candidates:
+    if settings.max_candidates < settings.min_candidates:
         raise ValueError(
-            f"max_candidates is {method.max_candidates}; expected at least min_candidates, "
-            f"{method.min_candidates}"
+            f"max_candidates is {settings.max_candidates}; expected at least min_candidates, "
+            f"{settings.min_candidates}"
         )
-
-
-def rows_by_level(
-    rows: int, d: int, *, per_parameter: float, eta: int, jump: float, enough: float = math.inf
-) -> tuple[int, ...]:
-    """Number of first rows of each level: `eta` times the rows of the previous level, at last all.
-
-    The first level has `per_parameter` rows for each of d parameters. A level after more than
-    `enough` rows for each parameter, or with more than the share `jump` of all rows, is the last.
-    """
-    level_rows = [min(rows, max(1, math.ceil(per_parameter * d)))]
-    while level_rows[-1] < rows:
-        larger = eta * level_rows[-1]
-        last = larger > jump * rows or level_rows[-1] > enough * d
-        level_rows.append(rows if last else larger)
-    return tuple(level_rows)
 
 
 def draw_starts(

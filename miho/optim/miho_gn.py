@@ -19,7 +19,7 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
 )
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
-from miho.optim.brackets import around, draw_starts, rows_by_level
+from miho.optim.brackets import around, draw_starts
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import BudgetExhausted, UnusableValueError
@@ -27,7 +27,6 @@ from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState, at_bound, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.schedule import luby
 from miho.optim.zero import EPSILON, is_rounding, is_zero
 
 SOLVED_FIRST = 9
@@ -75,13 +74,23 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         Steps of each candidate on a rung.
     leader_steps : int, optional
         Steps of the best candidate on a rung, at most.
+    max_step : float, optional
+        Longest step along a coordinate, as a share of the width of the bounds.
+    tolerance : float, optional
+        A descent has converged if its linear model predicts a relative decrease of the loss below
+        this.
+    level_tolerance : float, optional
+        The same on m rows, fewer than all, in units of d / m, which noise hides.
+    patience, min_progress : float, optional
+        A descent is set aside if its loss decreases by less than the share `min_progress` in
+        `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
+    max_brackets : int, optional
+        Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
     damping : float, optional
         Initial damping (Nielsen's μ), relative to the scale of each parameter.
     scale_decay : float, optional
         Smallest factor by which a scale decreases from step to step, in every second bracket. In
         the other brackets scales never decrease, which large residuals need.
-    max_step : float, optional
-        Longest step along a coordinate, as a share of the width of the bounds.
     max_secants : int, optional
         Largest number of consecutive Broyden updates between evaluations of the derivatives.
     projection_period : int, optional
@@ -89,16 +98,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         projection); 0 for none.
     draws : {"turns", "thirds", "own", "scale", "uniform"}, optional
         Distribution of starting points, see `miho.optim.brackets.draw_starts`.
-    tolerance : float, optional
-        A descent has converged if its linear model predicts a relative decrease of the loss below
-        this.
-    level_tolerance : float, optional
-        The same on m rows, fewer than all, in units of d / m, which noise hides.
     final_tolerance : float, optional
-        The same for the final descent from the best optimum.
-    patience, min_progress : float, optional
-        A descent is set aside if its loss decreases by less than the share `min_progress` in
-        `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
+        `tolerance` of the final descent from the best optimum.
     doubtful_brackets : int, optional
         Agreeing brackets that a doubtful optimum needs, which must be three quarters of the
         brackets with a known loss. Half as many are enough if only the residuals have structure;
@@ -109,8 +110,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     challenges : int, optional
         Brackets that start near the best optimum, at some of its coordinates, and must fail to find
         a better one before the search ends.
-    max_brackets : int, optional
-        Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
 
     Raises
     ------
@@ -174,14 +173,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if not box.nonlinear.size:
             first = max(math.ceil(N / SOLVED_FIRST), d + 1)
             return (first, N) if first < N else (N,)
-        return rows_by_level(
-            N,
-            d,
-            per_parameter=self.rows_per_parameter,
-            eta=self.eta,
-            jump=self.full_data_share,
-            enough=self.max_rows_per_parameter,
-        )
+        return self.rows_by_level(N, d)
 
     def done(self, state: MIHOGNState) -> bool:
         """Whether the brackets are evidence enough, or their largest number is reached."""
@@ -233,11 +225,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         projects = state.linear or self._projects(state)
         look_cost = int(state.level_rows[0]) / int(state.level_rows[-1])
         look_cost *= 1 + projects * state.box.linear.size
-        budget = (state.d + 1) * min(self.base_cost * luby(state.bracket), self.max_cost)
-        state.settings = state.settings._replace(projects=projects, rung_budget=float(budget))
+        budget, n = self.sizes(state.bracket, state.d, look_cost)
+        state.settings = state.settings._replace(projects=projects, rung_budget=budget)
         state.spent_before = oracle.evaluations
         # Its starts, to be evaluated on the first level.
-        n = min(max(round(budget / look_cost), self.min_candidates), self.max_candidates)
         n = 1 if state.linear else n
         starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
         if state.challenging:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from miho.compiled.gauss_newton_candidates import GNSettings
-from miho.optim.brackets import DRAWS, check_brackets
+from miho.optim.brackets import DRAWS, Brackets, check_brackets
 from miho.validate import one_of, positive_settings, whole, whole_settings
 
 ROOM = 1 << 22
@@ -14,34 +14,18 @@ again, and the residuals too if they come from Python."""
 
 
 @dataclass(frozen=True)
-class MIHOGNSettings:
+class MIHOGNSettings(Brackets):
     """Settings of `MIHOGN` and `AsynchronousMIHOGN`; see `MIHOGN`."""
 
-    eta: int = 3
-    rows_per_parameter: float = 4.0
-    full_data_share: float = 0.5
-    max_rows_per_parameter: float = 200.0
-    base_cost: float = 0.5
-    max_cost: float = 32.0
-    min_candidates: int = 3
-    max_candidates: int = 243
-    steps_per_rung: int = 3
-    leader_steps: int = 20
     damping: float = 0.1
     scale_decay: float = 0.3
-    max_step: float = 0.25
     max_secants: int = 4
     projection_period: int = 2
     draws: str = "turns"
-    tolerance: float = 1e-8
-    level_tolerance: float = 0.1
     final_tolerance: float = 1e-16
-    patience: float = 4.0
-    min_progress: float = 0.05
     doubtful_brackets: int = 20
     doubtful_cost: float = 10.0
     challenges: int = 3
-    max_brackets: int = 200
 
     def __post_init__(self) -> None:
         check_brackets(self)
@@ -49,9 +33,7 @@ class MIHOGNSettings:
         whole_settings(self, ("max_secants", "projection_period"), 0)
         whole("challenges", self.challenges, 1)
         one_of("draws", self.draws, DRAWS)
-        positive_settings(
-            self, ("damping", "scale_decay", "max_step", "final_tolerance", "doubtful_cost")
-        )
+        positive_settings(self, ("damping", "scale_decay", "final_tolerance", "doubtful_cost"))
         if self.scale_decay > 1:
             raise ValueError(f"scale_decay is {self.scale_decay:g}; expected at most 1")
 

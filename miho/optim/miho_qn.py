@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.compiled.phases import CLOSED, FINISH, LEAD, REVIVE, RUNG, SCREEN, UNLIMITED
-from miho.optim.brackets import check_brackets, draw_starts, rows_by_level
+from miho.optim.brackets import Brackets, check_brackets, draw_starts
 from miho.optim.miho_qn_state import (
     NEAR_LAST,
     MIHOQNState,
@@ -31,7 +31,6 @@ from miho.optim.quasi_newton_candidates import (
     QNCandidates,
 )
 from miho.optim.quasi_newton_steps import QNRules, answer, points, requests_of
-from miho.optim.schedule import luby
 from miho.optim.simplex import Simplex
 from miho.optim.space import Space
 from miho.optim.trace import Starts
@@ -47,7 +46,7 @@ REENTRY = 0.05
 
 
 @dataclass(frozen=True)
-class MIHOQN(AskTell[MIHOQNState]):
+class MIHOQN(Brackets, AskTell[MIHOQNState]):
     """Multistart quasi-Newton search in brackets of successive halving, from losses alone.
 
     For problems without residuals, or with a loss that is not smooth. It shares brackets, levels
@@ -59,43 +58,23 @@ class MIHOQN(AskTell[MIHOQNState]):
 
     Parameters
     ----------
-    eta : int, optional
-        One candidate in `eta` continues on the next rung (η), with `eta` times as many rows.
-    rows_per_parameter : float, optional
-        Rows of the first level, for each parameter.
-    full_data_share : float, optional
-        A level with more than this share of all rows uses all rows, as do all levels of a problem
-        with an unknown number of rows.
-    max_rows_per_parameter : float, optional
-        A level after more than this number of rows for each parameter uses all rows.
-    base_cost, max_cost : float, optional
-        Cost of a rung in units of d + 1 evaluations: `base_cost` times Luby's sequence, at most
-        `max_cost`.
-    min_candidates, max_candidates : int, optional
-        Smallest and largest number of starting points of a bracket.
-    steps_per_rung : int, optional
-        Steps of each candidate on a rung.
-    leader_steps : int, optional
-        Steps of the best candidate on a rung, at most.
-    max_step : float, optional
-        Longest step along a coordinate, as a share of the width of the bounds.
-    tolerance : float, optional
-        A descent has converged if its model predicts a relative decrease of the loss below this.
-    level_tolerance : float, optional
-        The same on m rows, fewer than all, in units of d / m, which noise hides.
+    eta, rows_per_parameter, full_data_share, max_rows_per_parameter : optional
+        Candidates that continue, and rows of each level, as in `MIHOGN`. A problem with an unknown
+        number of rows has one level.
+    base_cost, max_cost, min_candidates, max_candidates : optional
+        Cost of a rung, and number of starting points of a bracket, as in `MIHOGN`.
+    steps_per_rung, leader_steps, max_step, tolerance, level_tolerance : optional
+        Steps of a candidate, and their end, as in `MIHOGN`.
+    patience, min_progress, max_brackets : optional
+        End of a descent without progress, and of the search, as in `MIHOGN`.
     max_predicted_steps : int, optional
         Largest number of consecutive steps with predicted instead of measured slopes.
     hessian_interval : float, optional
         A Hessian is measured again if a step was not as predicted, after this multiple of its cost.
-    patience, min_progress : float, optional
-        A descent is set aside if its loss decreases by less than the share `min_progress` in
-        `patience` (d + 1) evaluations. The best of these may later use as much as one bracket.
     simplex_edge : float, optional
         Edges of a simplex, as a share of the widths.
     simplex_budget : int, optional
         Evaluations of a simplex for each parameter, at most.
-    max_brackets : int, optional
-        Largest number of brackets; the outcome is then `Outcome.BRACKETS`.
 
     Raises
     ------
@@ -114,31 +93,19 @@ class MIHOQN(AskTell[MIHOQNState]):
     array([1., 2.])
     """
 
-    eta: int = 3
-    rows_per_parameter: float = 4.0
-    full_data_share: float = 0.5
-    max_rows_per_parameter: float = 200.0
-    base_cost: float = 0.5
-    max_cost: float = 32.0
-    min_candidates: int = 3
-    max_candidates: int = 243
-    steps_per_rung: int = 3
     leader_steps: int = 60
     max_step: float = 0.5
     tolerance: float = 1e-9
-    level_tolerance: float = 0.1
+    patience: float = 8.0
     max_predicted_steps: int = 3
     hessian_interval: float = 1.0
-    patience: float = 8.0
-    min_progress: float = 0.05
     simplex_edge: float = 0.02
     simplex_budget: int = 30
-    max_brackets: int = 200
 
     def __post_init__(self) -> None:
         check_brackets(self)
         whole_settings(self, ("max_predicted_steps", "simplex_budget"), 0)
-        positive_settings(self, ("max_step", "hessian_interval", "simplex_edge"))
+        positive_settings(self, ("hessian_interval", "simplex_edge"))
 
     def init(self, space: Space, rng: np.random.Generator) -> MIHOQNState:
         """State before the first batch, for a problem without cheaper approximations."""
@@ -150,14 +117,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         level_rows: tuple[int, ...] = (0,)
         level_costs: tuple[float, ...] = (1.0,)
         if N is not None:
-            level_rows = rows_by_level(
-                N,
-                len(space),
-                per_parameter=self.rows_per_parameter,
-                eta=self.eta,
-                jump=self.full_data_share,
-                enough=self.max_rows_per_parameter,
-            )
+            level_rows = self.rows_by_level(N, len(space))
             level_costs = tuple(oracle.cost(m / N) for m in level_rows)
             if level_costs[0] >= 1.0:  # fewer rows cost the same
                 level_rows, level_costs = level_rows[-1:], level_costs[-1:]
@@ -266,11 +226,8 @@ class MIHOQN(AskTell[MIHOQNState]):
     def _draw(self, state: MIHOQNState) -> None:
         """Begin a bracket: draw its starts, to be evaluated on the first level."""
         state.bracket += 1
-        state.rung_budget = (state.d + 1) * min(self.base_cost * luby(state.bracket), self.max_cost)
         state.level, state.spent_before, state.phase = 0, state.spent, SCREEN
-        n = min(
-            max(round(state.rung_budget / state.cost), self.min_candidates), self.max_candidates
-        )
+        state.rung_budget, n = self.sizes(state.bracket, state.d, state.cost)
         z = draw_starts(state.space, n, state.rng, state.bracket)
         state.starts.screened += n
         state.candidates = QNCandidates.at(z, self.max_step)

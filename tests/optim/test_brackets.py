@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from miho.optim import Parameter, Space
-from miho.optim.brackets import DECADES, TURNS, around, by_scale, draw_starts, rows_by_level
+from miho.optim.brackets import DECADES, TURNS, Brackets, around, by_scale, draw_starts
 from miho.optim.schedule import luby
 from miho.quantities import Array
 
@@ -31,7 +31,7 @@ def test_luby_is_the_published_sequence() -> None:
     ],
 )
 def test_levels_grow_to_all_rows(rows: int, d: int, expected: tuple[int, ...]) -> None:
-    assert rows_by_level(rows, d, per_parameter=4, eta=3, jump=0.5, enough=200) == expected
+    assert Brackets().rows_by_level(rows, d) == expected
 
 
 def test_the_common_start_leads_and_all_are_in_the_box() -> None:
