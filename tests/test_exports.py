@@ -27,7 +27,6 @@ HEAVY = [
 UNUSED = (
     "baselines",
     "miho.analysis",
-    "miho.compiled.gauss_newton_parts",
     "miho.compiled.triangular",
     "miho.identification.constraints",
     "miho.identification.prior",
@@ -36,6 +35,7 @@ UNUSED = (
     "miho.models.joint",
     "miho.models.tied",
     "miho.optim.asynchronous_miho_gn",
+    "miho.optim.gauss_newton_steps",
     "miho.optim.miho_qn",
     "miho.parallel.journal",
     "miho.parallel.pool",

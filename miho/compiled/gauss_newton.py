@@ -2,8 +2,8 @@
 
 These functions are the steps between two evaluations: each advances a candidate from one stage to
 the next. The machine of `miho.core` has the same steps in C (`steps.c`) for models that it runs.
-The Python functions serve all other models (`gauss_newton_parts`), and tests compare the C with
-them. A run that stops between two evaluations resumes without a difference.
+The Python functions serve all other models (`miho.optim.gauss_newton_steps`), and tests compare the
+C with them. A run that stops between two evaluations resumes without a difference.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from miho.compiled.gauss_newton_candidates import (
     square_distance,
 )
 from miho.compiled.triangular import norm
-from miho.compiled.workspace import CHUNK, Work, clear, copy
+from miho.compiled.workspace import CHUNK, Work
 from miho.quantities import Array
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
@@ -113,7 +113,7 @@ def judge_trial(
     d = c.x.shape[1]
     # The first evaluation gives the loss with which trials are compared.
     if c.stage[i] == ENTER:
-        copy(c.trial[i], c.x[i])
+        c.x[i] = c.trial[i]
         c.loss[i] = loss
         c.stage[i] = SLOPES if math.isfinite(loss) else UNUSABLE
         c.loss_at_mark[i], c.spent_at_mark[i] = loss, c.spent[i]
@@ -137,7 +137,7 @@ def judge_trial(
         else:
             keep_residuals(c, i, m, w)
         # Move to the trial, and adapt the damping.
-        copy(c.trial[i], c.x[i])
+        c.x[i] = c.trial[i]
         c.loss[i] = loss
         if rho > GOOD:
             c.damping[i] = max(LESS * c.damping[i], SMALLEST_DAMPING)
@@ -222,7 +222,7 @@ def set_damping(c: GNCandidates, i: int, n: int, alike: bool, scale: Array) -> N
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
     """Store the residuals of a candidate with its derivatives, if there is room for them."""
     if c.derivatives.shape[2]:
-        copy(w.residuals[:m], c.derivatives[i, c.x.shape[1]])
+        c.derivatives[i, c.x.shape[1]] = w.residuals[:m]
 
 
 def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
@@ -250,12 +250,12 @@ def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> N
 
 def refold(columns: Array, count: int, last: Array, m: int, w: Work) -> None:
     """Triangular factor of the first `count` columns (., m) and of `last`, into w.T."""
-    clear(w.T)
+    w.T[:] = 0.0
     for start in range(0, m, CHUNK):
         size = min(CHUNK, m - start)
         for k in range(count + 1):
             column = columns[k] if k < count else last
-            copy(column[start : start + size], w.chunk[k])
+            w.chunk[k, :size] = column[start : start + size]
         fold(w.T, w.chunk, size, count + 1)
 
 
@@ -384,7 +384,7 @@ def after_evaluation(
     """
     if c.stage[i] == RECORD:
         c.stage[i] = c.stage_after_record[i]
-        copy(w.sums, c.sums[i])
+        c.sums[i] = w.sums
         return
     previous = c.loss[i]
     judge_trial(c, i, loss, box, m, rules, w)
@@ -393,4 +393,4 @@ def after_evaluation(
             c.stage_after_record[i] = c.stage[i]
             c.stage[i] = RECORD
     elif c.loss[i] < previous:
-        copy(w.sums, c.sums[i])
+        c.sums[i] = w.sums

@@ -42,7 +42,6 @@ from miho.compiled.phases import (
     SOLVED,
     UNLIMITED,
 )
-from miho.compiled.workspace import copy
 from miho.quantities import Integers
 
 NEAR, NEAR_LAST = 9.0, 0.1
@@ -192,7 +191,7 @@ def look_again(
     for i in range(place[SIZE]):
         c.loss[i] = c.predicted_gain[i] = math.inf
         c.stage[i], c.growth[i], c.secants[i] = ENTER, 2.0, 0
-        copy(c.x[i], c.trial[i])
+        c.trial[i] = c.x[i]
     place[ACTIVE] = place[SIZE]
     make_room(c, place, level_rows, settings)
 

@@ -107,12 +107,6 @@ class GNCandidates(NamedTuple):
         nothing = np.zeros((1, self.x.shape[1] + 1, 0))
         return views(self.numbers[:1].copy(), self.counts[:1].copy(), self.R[:1].copy(), nothing)
 
-    def with_derivatives(self, stored: Array, size: int, m: int) -> GNCandidates:
-        """The same record with derivatives of m rows of the first `size` candidates, in stored."""
-        n = self.x.shape[1] + 1
-        derivatives = stored[: size * n * m].reshape((size, n, m))
-        return views(*self[:3], derivatives)
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle as views of four arrays, which separate fields would not remain."""
         return views, self[:4]

@@ -1,8 +1,10 @@
-"""Work arrays of Gauss-Newton steps, as parts of one array."""
+"""Work arrays of Gauss-Newton steps."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+import numpy as np
 
 from miho.quantities import Array
 
@@ -27,7 +29,7 @@ class Work(NamedTuple):
 
     theta, step, low, high, scale (d,): the configuration in units, a step, its bounds and damping.
     sums (levels,): sums of squares. T (d + 1, d + 1): a triangular factor. chunk (d + 1, CHUNK):
-    columns to fold into T. slopes (d, CHUNK), residuals (m,): values from the problem.
+    columns to fold into T. residuals (m,): values from the problem.
     """
 
     theta: Array
@@ -38,59 +40,20 @@ class Work(NamedTuple):
     sums: Array
     T: Array
     chunk: Array
-    slopes: Array
     residuals: Array
     solver: SolverScratch
 
+    @classmethod
+    def of(cls, d: int, m: int, levels: int) -> Work:
+        """New work arrays."""
+        n, zeros = d + 1, np.zeros
+        solver = SolverScratch(zeros(d), zeros(d), zeros((n, 2 * d)), zeros((n, n)))
+        return cls(
+            zeros(d), zeros(d), zeros(d), zeros(d), zeros(d), zeros(levels), zeros((n, n)),
+            zeros((n, CHUNK)), zeros(m), solver,
+        )  # fmt: skip
+
 
 def room_for(d: int, m: int, levels: int) -> int:
-    """Number of elements that `work` needs."""
+    """Number of elements that the machine needs for the same arrays."""
     return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
-
-
-def work(room: Array, d: int, m: int, levels: int) -> Work:
-    """Parts of `room` for d parameters, m residuals and levels of rows; factor and sums are 0."""
-    n, start = d + 1, 7 * d
-    sums = room[start : start + levels]
-    for k in range(levels):
-        sums[k] = 0.0
-    start += levels
-    T = room[start : start + n * n].reshape((n, n))
-    clear(T)
-    start += n * n
-    chunk = room[start : start + n * CHUNK].reshape((n, CHUNK))
-    start += n * CHUNK
-    slopes = room[start : start + d * CHUNK].reshape((d, CHUNK))
-    start += d * CHUNK
-    residuals = room[start : start + m]
-    start += m
-    columns = room[start : start + n * 2 * d].reshape((n, 2 * d))
-    start += n * 2 * d
-    return Work(
-        room[:d],
-        room[d : 2 * d],
-        room[2 * d : 3 * d],
-        room[3 * d : 4 * d],
-        room[4 * d : 5 * d],
-        sums,
-        T,
-        chunk,
-        slopes,
-        residuals,
-        SolverScratch(
-            room[5 * d : 6 * d],
-            room[6 * d : 7 * d],
-            columns,
-            room[start : start + n * n].reshape((n, n)),
-        ),
-    )
-
-
-def clear(T: Array) -> None:
-    """Set all elements to 0."""
-    T[:] = 0.0
-
-
-def copy(source: Array, target: Array) -> None:
-    """Copy all elements of one array to another."""
-    target[: source.size] = source

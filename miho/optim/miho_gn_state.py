@@ -15,10 +15,13 @@ from miho.compiled.gauss_newton_candidates import (
     INSIDE,
     LEVEL,
     PHASE,
+    SIZE,
+    STORED,
     GNBox,
     GNCandidates,
     GNSettings,
     Minima,
+    views,
 )
 from miho.compiled.kernel import Rows
 from miho.compiled.phases import CLOSED, SCREEN
@@ -127,6 +130,13 @@ class MIHOGNState:
     def linear(self) -> bool:
         """Whether the problem is linear in all parameters."""
         return not self.box.nonlinear.size
+
+    @property
+    def with_derivatives(self) -> GNCandidates:
+        """The candidates with their derivatives, which are in `stored`."""
+        size, rows, n = int(self.place[SIZE]), int(self.place[STORED]), self.d + 1
+        derivatives = self.stored[: size * n * rows].reshape((size, n, rows))
+        return views(*self.candidates[:3], derivatives)
 
     @property
     def level_losses(self) -> Array:

@@ -37,7 +37,7 @@ from miho.compiled.gauss_newton_candidates import (
 from miho.compiled.gauss_newton_machine import FINISHED, PAUSED, REACHED
 from miho.compiled.kernel import Rows
 from miho.compiled.triangular import fold, square_sum
-from miho.compiled.workspace import CHUNK, Work, clear, copy, work
+from miho.compiled.workspace import CHUNK, Work
 from miho.core import machine
 from miho.quantities import Array, Integers
 
@@ -93,7 +93,7 @@ def run_bracket(
         c = views(numbers, counts, R, derivatives)
         rules = rules_of(place, level_rows, R.shape[1], settings)
         m = level_rows[rules.level]
-        w = work(room, R.shape[1], m if place[STORED] else CHUNK, level_rows.size)
+        w = Work.of(R.shape[1], m if place[STORED] else CHUNK, level_rows.size)
         # All starts that are left descend to the phase's end; then the best go on.
         for i in range(place[ACTIVE]):
             state = descend(
@@ -154,7 +154,7 @@ def descend(
         if m == rows.y.size and loss < best:
             best, k = loss, tally[IMPROVEMENTS]
             at[k], losses[k] = tally[SPENT] - cost + m, loss
-            copy(w.theta, thetas[k])
+            thetas[k] = w.theta
             tally[IMPROVEMENTS] += 1
         # The linear parameters are solved for from there.
         if project and math.isfinite(loss):
@@ -201,7 +201,7 @@ def fill(
     d = w.theta.size
     keep = c.derivatives.shape[2] > 0 and not c.projects[i]
     chunk = w.chunk
-    clear(w.T)
+    w.T[:] = 0.0
     for start in range(0, m, CHUNK):
         count = min(CHUNK, m - start)
         J = slopes(rows, w.theta, start, start + count)
