@@ -51,7 +51,7 @@ def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
         return math.inf
     sample = slice(None, None, -(-y.size // (SORTED_ROWS if len(inputs) == 1 else NEIGHBOUR_ROWS)))
     X, y = np.array(inputs)[:, sample], y[sample]
-    return (irreducible_interval(X[0], y).high if len(X) == 1 else irreducible_limit(X, y)) ** 2
+    return (_high(_scatter(X[0], y)) if len(X) == 1 else irreducible_limit(X, y)) ** 2
 
 
 def irreducible_error(x: Array, y: Array) -> float:
@@ -104,24 +104,14 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     """
     if x.size < FEWEST:
         return Irreducible(math.nan, math.nan, math.nan)
-    # The estimate: the mean square of the pseudo-residuals.
-    order = np.argsort(x, kind="stable")
-    x, y = x[order], y[order]
-    errors, weights = _pseudo_residuals(x, y)
-    square = float(np.mean(errors**2))
-    value = math.sqrt(square)
-    if x.size < 5 or square == 0:
-        return Irreducible(value, 0.0, math.inf if x.size < 5 else value)
-    # The interval, with a lower end that allows for the curvature.
-    freedom = 2 * square**2 / _variance(errors, weights)
-    tail = (1 - level) / 2
-    wider = [_pseudo_residuals(x[half::2], y[half::2])[0] for half in (0, 1)]
-    bend = max(0.0, float(np.mean(np.concatenate(wider) ** 2)) - square)
-    lowest = square * freedom / float(scipy.special.chdtri(freedom, tail)) - bend
-    highest = (
-        square * freedom / max(float(scipy.special.chdtri(freedom, 1 - tail)), np.finfo(float).tiny)
-    )
-    return Irreducible(value, math.sqrt(max(0.0, lowest)), math.sqrt(highest))
+    scatter = _scatter(x, y)
+    value, high = math.sqrt(scatter.square), _high(scatter, level)
+    if x.size < 5 or scatter.square == 0:
+        return Irreducible(value, 0.0, high)
+    wider = [_pseudo_residuals(scatter.x[k::2], scatter.y[k::2])[0] for k in (0, 1)]
+    bend = max(0.0, float(np.mean(np.concatenate(wider) ** 2)) - scatter.square)
+    lowest = _over_chi_squared(scatter, (1 - level) / 2) - bend
+    return Irreducible(value, math.sqrt(max(0.0, lowest)), high)
 
 
 def irreducible_of(problem: CurveFit) -> Irreducible:
@@ -158,6 +148,44 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
     # For normal errors e, e^4 / 3 estimates the square of the variance, as in `_variance`.
     freedom = 3 * float(squares.sum()) ** 2 / float((squares**2).sum())
     return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, (1 + level) / 2))
+
+
+class _Scatter(NamedTuple):
+    """Points in the order of x, the mean square of their pseudo-residuals, and its freedom.
+
+    The degrees of freedom are NaN if there are fewer than five points or if the square is 0.
+    """
+
+    x: Array
+    y: Array
+    square: float
+    freedom: float
+
+
+def _scatter(x: Array, y: Array) -> _Scatter:
+    """The scatter of at least three points (N,)."""
+    order = np.argsort(x, kind="stable")
+    x, y = x[order], y[order]
+    errors, weights = _pseudo_residuals(x, y)
+    square = float(np.mean(errors**2))
+    if x.size < 5 or square == 0:
+        return _Scatter(x, y, square, math.nan)
+    return _Scatter(x, y, square, 2 * square**2 / _variance(errors, weights))
+
+
+def _high(scatter: _Scatter, level: float = 0.95) -> float:
+    """Upper end of the interval of the irreducible error."""
+    if scatter.x.size < 5:
+        return math.inf
+    if scatter.square == 0:
+        return 0.0
+    return math.sqrt(_over_chi_squared(scatter, 1 - (1 - level) / 2))
+
+
+def _over_chi_squared(scatter: _Scatter, tail: float) -> float:
+    """The variance that a chi-squared distribution gives for this probability above it."""
+    quantile = max(float(scipy.special.chdtri(scatter.freedom, tail)), np.finfo(float).tiny)
+    return scatter.square * scatter.freedom / quantile
 
 
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:

@@ -398,14 +398,17 @@ def ordered(results: Iterable[Symbol], ends: Sequence[str] = (ARGUMENT, CONSTANT
     """Return all symbols under results in topological order, without going below `ends`."""
     order: list[Symbol] = []
     seen: set[Symbol] = set()
-    stack: list[tuple[Symbol, bool]] = [(result, False) for result in results]
+    complete: set[Symbol] = set()
+    stack = list(results)
     while stack:
-        symbol, complete = stack.pop()
-        if complete:
+        symbol = stack.pop()
+        if symbol in complete:
+            continue
+        if symbol in seen or symbol.operation in ends:
+            complete.add(symbol)
             order.append(symbol)
-        elif symbol not in seen:
+        else:  # it follows its arguments
             seen.add(symbol)
-            stack.append((symbol, True))
-            if symbol.operation not in ends:
-                stack += [(child, False) for child in symbol.arguments]
+            stack.append(symbol)
+            stack += symbol.arguments
     return order

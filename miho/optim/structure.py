@@ -85,7 +85,7 @@ def _standardised(residuals: Array, orders: Sequence[Order]) -> Array:
     leave residuals there that are no structure. So the variance is smaller there.
     """
     z = residuals - median(residuals)
-    deviation = MEDIAN_TO_DEVIATION * median(np.abs(z))
+    deviation = MEDIAN_TO_DEVIATION * float(median(np.abs(z)))
     if not deviation > 0:
         z, orders = np.sign(z), ()
     else:
@@ -113,7 +113,8 @@ def _spread(order: Order, sizes: Array) -> Array:
         return np.ones(N)
     first = np.linspace(0, N - rows, round(2 * N / rows) - 1).astype(int)
     ordered = sizes[order]
-    medians = np.array([median(ordered[k : k + rows]) for k in first])
+    blocks = ordered[first[:, None] + np.arange(rows)]
+    medians = median(blocks)
     if medians.max() <= math.exp(CHANCE / math.sqrt(rows)) * medians.min() or not medians.all():
         return np.ones(N)
     logs = np.log(MEDIAN_TO_DEVIATION * medians)
@@ -123,12 +124,13 @@ def _spread(order: Order, sizes: Array) -> Array:
     return spread
 
 
-def median(values: Array) -> float:
-    """Median; NumPy's is slower because it checks for NaN."""
-    last = values.size // 2
-    first = last - 1 + values.size % 2
+def median(values: Array) -> Array:
+    """Median over the last axis; NumPy's is slower because it checks for NaN."""
+    rows = values.shape[-1]
+    last = rows // 2
+    first = last - 1 + rows % 2
     ordered = np.partition(values, (first, last))
-    return float(ordered[first] + ordered[last]) / 2
+    return (ordered[..., first] + ordered[..., last]) / 2
 
 
 def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
