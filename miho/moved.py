@@ -33,6 +33,7 @@ MOVED = {
     "miho.driving": "miho.vehicle.driving",
     "miho.analysis.arena_results": "baselines.arena.results",
     "miho.analysis.compare.readings": "baselines.arena.readings",
+    "miho.identification.statement": "miho.identification.conclusion",
     "miho.analysis.figures.arena": "baselines.arena.figures",
     "miho.analysis.figures.ranking": "baselines.arena.ranking",
     "miho.analysis.figures.readings": "baselines.arena.readings_figure",

@@ -82,6 +82,7 @@ def test_a_removed_name_names_its_successor() -> None:
     [
         ("from miho.models import Pacejka", "miho.vehicle.models.Pacejka"),
         ("from miho.models.magic_formula import MagicFormula", "miho.vehicle.models.magic_formula"),
+        ("import miho.identification.statement", "miho.identification.conclusion"),
         ("import miho.data; miho.data.load_axle_samples", "miho.vehicle.data.load_axle_samples"),
     ],
 )

@@ -41,8 +41,8 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
 
     def journaled(path: Path) -> RunRecord:
         with closing(Journal(path, problem)) as journal:
-            if journal.standing:
-                print(f"{title}: {journal.standing}", file=sys.stderr, flush=True)
+            if journal.status:
+                print(f"{title}: {journal.status}", file=sys.stderr, flush=True)
             if quiet:
                 return search(journal)
             if not sys.stderr.isatty():

@@ -158,7 +158,7 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
     print(
         for_terminal(
             f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
-            f"{limits}{report.standing.statement}\nreport {path}\n"
+            f"{limits}{report.conclusion.statement}\nreport {path}\n"
         )
     )
     if options.candidates is not None and options.rows is not None:

@@ -16,9 +16,9 @@ from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
 from experiments.app.working import State
 from miho.identification import Square, linear_optimum
+from miho.identification.conclusion import kind_of
 from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import marked
-from miho.identification.statement import kind_of
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, agreement, in_optimum
 from miho.parallel.usage import Usage
@@ -110,7 +110,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         marks = marked(problem, theta, report.at)
         rows += error_rows(report)
         found_by = report.found_by
-        rows.append(("optimum", report.standing.statement))
+        rows.append(("optimum", report.conclusion.statement))
     if marks:
         rows.append(("limits", ", ".join(marks)))
     # The loss of the optimum, and its gap to the best known optimum.

@@ -60,8 +60,8 @@ def expensive_fit(
             from miho.parallel import Journal
 
             book = stack.enter_context(closing(Journal(journal, problem)))
-            if book.standing:
-                _say(f"{title(problem)}: {book.standing} ({journal})")
+            if book.status:
+                _say(f"{title(problem)}: {book.status} ({journal})")
         evaluations = stack.enter_context(
             open_evaluations(problem, workers, evaluation_limit, book)
         )

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from miho.identification.conclusion import Conclusion
     from miho.identification.report import Report
-    from miho.identification.statement import Standing
     from miho.identification.uncertainty import Linearised
 
 SAME = 1e-9
@@ -231,12 +231,12 @@ class Fit(Remade):
         from miho.identification.stated import at_limits
 
         limits = (f"{limit}." for limit in at_limits(self.problem, self.theta))
-        return " ".join([self._standing.statement, *limits])
+        return " ".join([self._conclusion.statement, *limits])
 
     @cached_property
-    def _standing(self) -> Standing:
+    def _conclusion(self) -> Conclusion:
         """Evidence for the optimum, or doubt about it, as in the report."""
-        from miho.identification.optimum import standing_of
+        from miho.identification.optimum import conclusion_on
 
         searches = () if self.descents is None else (self.descents,)
         started = time.perf_counter()
@@ -246,7 +246,7 @@ class Fit(Remade):
         if not is_expensive(time.perf_counter() - started):
             with contextlib.suppress(ValueError):  # too few rows
                 at = self.uncertainty
-        return standing_of(
+        return conclusion_on(
             self.problem, self.theta, self.run, searches, at=at, moving=self.moving,
             found_by=self.found_by,
         )  # fmt: skip
@@ -268,15 +268,15 @@ class Fit(Remade):
         )
         from miho.identification.stated import reported_space, reported_uncertainty
 
-        stand = self._standing
-        sentences = doubtful(stand.doubt, REMEDY) if stand.doubt else []
+        conclusion = self._conclusion
+        sentences = doubtful(conclusion.doubt, REMEDY) if conclusion.doubt else []
         try:
             at = reported_uncertainty(self.problem, self.uncertainty)
         except ValueError as error:
             return [*sentences, f"there are no standard errors: {error}."]
         sentences += several_values(self.problem, self._optima)
         space = reported_space(self.problem.space)
-        sentences += (ended_at_bounds if stand.doubt else held_at_bounds)(at, space)
+        sentences += (ended_at_bounds if conclusion.doubt else held_at_bounds)(at, space)
         return sentences + unseen(at, space, everywhere=False)
 
     def report(self, **settings: Any) -> Report:
@@ -325,7 +325,7 @@ class Fit(Remade):
             if known:
                 vars(self)["_optima"] = (self.uncertainty, *others)
         vars(self).pop("caveats", None)
-        vars(self).update(moving=report.moving, _standing=report.standing)
+        vars(self).update(moving=report.moving, _conclusion=report.conclusion)
 
     @cached_property
     def notes(self) -> list[str]:
@@ -437,7 +437,7 @@ class Fit(Remade):
         # The caveats explain an optimum in doubt.
         limits = " ".join(f"{limit}." for limit in at_limits(self.problem, self.theta))
         known = (
-            limits if self._standing.doubt else self.optimum.replace(" Estimated", "\nEstimated")
+            limits if self._conclusion.doubt else self.optimum.replace(" Estimated", "\nEstimated")
         )
         caveats = (f"- {sentence}" for sentence in self.caveats)
         lines = "\n".join(filter(None, [size, known, *caveats])).split("\n")

@@ -200,7 +200,7 @@ class JointFit(Fit):
             alternatives["excess"] = self.alternatives["excess"]
         vars(fit).update(
             uncertainty=optima[0], _optima=optima, alternatives=alternatives,
-            _standing=self._standing, caveats=self.caveats,
+            _conclusion=self._conclusion, caveats=self.caveats,
         )  # fmt: skip
         return fit
 

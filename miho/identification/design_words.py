@@ -59,10 +59,10 @@ def assumptions(design: Design) -> list[str]:
         f"standard deviation ({at.noise:.3g}{_unit(problem.unit)}), and that the new optimum is "
         "near this one: measure, fit again, and plan again."
     ]
-    if report.standing.doubt:
+    if report.conclusion.doubt:
         sentences.append(
-            f"the optimum is in doubt ({report.standing.doubt}): a better optimum would need other "
-            "rows."
+            f"the optimum is in doubt ({report.conclusion.doubt}): a better optimum would need "
+            "other rows."
         )
     sentences += _undetermined(design)
     fixed = [problem.space.names[i] for i in np.flatnonzero(at.at_bound)]

@@ -117,9 +117,9 @@ class ModelComparison:
         sentences = []
         for report in self.reports:
             name = report.problem.name
-            if report.standing.doubt:
+            if report.conclusion.doubt:
                 sentences.append(
-                    f"the optimum of {name} is in doubt ({report.standing.doubt}): a better "
+                    f"the optimum of {name} is in doubt ({report.conclusion.doubt}): a better "
                     "optimum would change its rank."
                 )
             if report.at.at_bound.any() or len(report.at.null_directions):

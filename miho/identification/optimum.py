@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.identification.closed_form import linear_optimum
+from miho.identification.conclusion import Conclusion, conclusion_from, kind_of, singular
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.irreducible import irreducible_of
-from miho.identification.statement import Standing, kind_of, singular, standing
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
 from miho.optim.zero import is_rounding, is_zero
@@ -27,7 +27,7 @@ TRIALS = 10
 """Number of trial configurations for a parameter without an effect."""
 
 
-def standing_of(
+def conclusion_on(
     problem: CurveFit,
     theta: Array,
     run: Array,
@@ -37,8 +37,8 @@ def standing_of(
     moving: int = 0,
     found_by: str = "",
     best_known: float | None = None,
-) -> Standing:
-    """The standing of an optimum.
+) -> Conclusion:
+    """The conclusion on an optimum.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def standing_of(
 
     Returns
     -------
-    Standing
+    Conclusion
     """
     loss, rounding = float(problem.loss(theta[None])[0]), problem.resolution
     before = loss if np.array_equal(run, theta) else float(problem.loss(run[None])[0])
@@ -72,23 +72,23 @@ def standing_of(
     if exact is not None:
         if loss <= exact[1] * (1 + LINEAR) + rounding:
             linear = "the model is linear in all parameters, so no other optimum is better"
-            return Standing(linear, certain=True)
+            return Conclusion(linear, certain=True)
         best_known = exact[1]
     if _is_zero(problem, theta, loss):
         zero = "the residuals are zero to rounding in this box, so no other optimum is better"
-        return Standing(zero, certain=True)
+        return Conclusion(zero, certain=True)
     if best_known is not None:
-        stand = standing(loss, rounding, searches, best_known=best_known)
+        conclusion = conclusion_from(loss, rounding, searches, best_known=best_known)
     elif found_by in (PROFILE, BOOTSTRAP):
         missed = f"{found_by} found this optimum after {_missed(before, searches, problem.unit)}"
-        stand = Standing(missed, missed)
+        conclusion = Conclusion(missed, missed)
     else:
-        stand = _by_descents(problem, theta, loss, searches)
+        conclusion = _by_descents(problem, theta, loss, searches)
         if not in_optimum(loss, before, rounding):
             step = found_by or "a descent from the run's result"
             lowered = f"{step} lowered the error {_step(before, loss)} {problem.unit}".rstrip()
-            doubt = f"{stand.doubt}; {lowered}" if stand.doubt else ""
-            stand = Standing(f"{stand.evidence}; {lowered}", doubt, stand.certain)
+            doubt = f"{conclusion.doubt}; {lowered}" if conclusion.doubt else ""
+            conclusion = Conclusion(f"{conclusion.evidence}; {lowered}", doubt, conclusion.certain)
     objections = []
     if moving and exact is None:
         objections.append(
@@ -97,7 +97,7 @@ def standing_of(
         )
     elif at is not None and at.unidentifiable.any():
         objections.append(lost_effect(at, problem.space, _never_identifiable(problem)))
-    return _with(stand, *filter(None, objections))
+    return _with(conclusion, *filter(None, objections))
 
 
 def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
@@ -113,24 +113,25 @@ def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
     return is_zero(residuals, derivatives, problem.space.encode(theta), problem.space)
 
 
-def _with(stand: Standing, *objections: str) -> Standing:
-    """A standing with further reasons to doubt the optimum."""
+def _with(conclusion: Conclusion, *objections: str) -> Conclusion:
+    """A conclusion with further reasons to doubt the optimum."""
     if not objections:
-        return stand
-    doubt = "; ".join(filter(None, [stand.doubt, *objections]))
-    return Standing("; ".join([stand.evidence, *objections]) if stand.doubt else doubt, doubt)
+        return conclusion
+    doubt = "; ".join(filter(None, [conclusion.doubt, *objections]))
+    evidence = "; ".join([conclusion.evidence, *objections]) if conclusion.doubt else doubt
+    return Conclusion(evidence, doubt)
 
 
 def _by_descents(
     problem: CurveFit, theta: Array, loss: float, searches: Sequence[Descents]
-) -> Standing:
-    """The standing by the descents and, if they do not suffice, by the scatter of the data."""
-    stand = standing(loss, problem.resolution, searches)
-    if not stand.doubt:
-        return stand
+) -> Conclusion:
+    """The conclusion from the descents and, if they do not suffice, by the scatter of the data."""
+    conclusion = conclusion_from(loss, problem.resolution, searches)
+    if not conclusion.doubt:
+        return conclusion
     error = float(np.sqrt(np.mean(problem.errors(theta) ** 2)))
     least = irreducible_of(problem)
-    return standing(loss, problem.resolution, searches, irreducible=least, error=error)
+    return conclusion_from(loss, problem.resolution, searches, irreducible=least, error=error)
 
 
 def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:

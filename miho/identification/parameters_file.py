@@ -68,7 +68,7 @@ def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
             "error": report.error,
             "residual_standard_deviation": report.residual_standard_deviation,
             "degrees_of_freedom": report.freedom,
-            "optimum": report.standing.statement,
+            "optimum": report.conclusion.statement,
             **origin,
             "interval": kind,
         },

@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from miho.identification.alternatives import hull, optima_table, several_values
 from miho.identification.bootstrap import percentile_intervals, percentiles
+from miho.identification.conclusion import Conclusion
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import (
     delta_method,
@@ -50,7 +51,6 @@ from miho.identification.stated import (
     reported_uncertainty,
     reported_values,
 )
-from miho.identification.statement import Standing
 from miho.identification.uncertainty import Linearised
 from miho.identification.validation import (
     BINS,
@@ -97,7 +97,7 @@ class Report:
         The final parameters of the run.
     at : Linearised
         The optimum and its uncertainty.
-    standing : Standing
+    conclusion : Conclusion
         The evidence that the optimum is the best one, or the reason to doubt it.
     profiles : tuple of Profile or None
         A profile likelihood per parameter; None if there is none.
@@ -129,7 +129,7 @@ class Report:
     problem: CurveFit
     run: Array
     at: Linearised
-    standing: Standing
+    conclusion: Conclusion
     profiles: tuple[Profile | None, ...]
     replicates: Array | None
     left_out: pd.DataFrame
@@ -142,6 +142,12 @@ class Report:
     moving: int = 0
     found_by: str = ""
     others: tuple[Linearised, ...] = ()
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            now = "; it is report.conclusion now" if name == "standing" else ""
+            raise AttributeError(f"Report has no attribute {name!r}{now}")
 
     @cached_property
     def space(self) -> Space:
@@ -334,12 +340,12 @@ class Report:
         if several and self.replicates is not None:
             several.append(BIASED)
         sentences = several + sentences
-        if self.standing.doubt:
-            doubt = doubtful(self.standing.doubt, self.remedy)
+        if self.conclusion.doubt:
+            doubt = doubtful(self.conclusion.doubt, self.remedy)
             sentences = doubt + ended_at_bounds(self.reported, self.space) + sentences
         else:
             remarks = self._remarks_on_data_and_model()
-            if remarks and not self.standing.certain:
+            if remarks and not self.conclusion.certain:
                 remarks.append(HEDGE)
             sentences += remarks
         return [*sentences, *self.omitted]
@@ -422,7 +428,7 @@ class Report:
         kind = next(kind for kind in KINDS if f"{kind} low" in self.parameters)
         columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
         formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
-        if self.uneven and not self.standing.doubt:
+        if self.uneven and not self.conclusion.doubt:
             columns += ["sandwich", "sandwich low", "sandwich high"]
         parts = [_printed(self.parameters[columns], formatters)]
         quantities = self._derived_with_best_intervals()
@@ -434,8 +440,8 @@ class Report:
             f"{error} (root mean square of {len(self.problem.dataset):,} rows{weights}); "
             f"intervals of {100 * self.level:g} %"
         ]
-        if not self.standing.doubt:  # a doubt is the first note
-            lines += self.standing.statement.replace(" Estimated", "\nEstimated").split("\n")
+        if not self.conclusion.doubt:  # a doubt is the first note
+            lines += self.conclusion.statement.replace(" Estimated", "\nEstimated").split("\n")
         lines += [f"- {note}" for note in self.notes]
         return "\n\n".join([*parts, "\n".join(map(wrapped, lines))])
 

@@ -14,7 +14,7 @@ from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import REMEDY
-from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, standing_of
+from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, conclusion_on
 from miho.identification.profile_likelihood import (
     SIGNS,
     Profile,
@@ -177,7 +177,7 @@ def make_report(
         run=run,
         at=at,
         others=optima[1:],
-        standing=standing_of(
+        conclusion=conclusion_on(
             problem,
             at.theta,
             run,

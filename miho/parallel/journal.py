@@ -92,7 +92,7 @@ class Journal:
         self.loaded = len(self._values)
 
     @property
-    def standing(self) -> str:
+    def status(self) -> str:
         """A phrase that describes the values of earlier calls; empty if there are none."""
         known = f"continues from {self.loaded:,} evaluations of an earlier call"
         return known if self.loaded else ""

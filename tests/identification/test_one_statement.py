@@ -13,7 +13,7 @@ import pytest
 import miho
 from miho.analysis.pages.run import save_report
 from miho.identification import Huber, report_steps
-from miho.identification.statement import standing
+from miho.identification.conclusion import conclusion_from
 from miho.optim import Budget, Descents, Optimizer, Outcome
 from tests.printed import flat
 
@@ -67,7 +67,7 @@ def test_a_better_optimum_of_a_profile_is_the_fits_own_everywhere(
     stored = json.loads((tmp_path / "parameters.json").read_text())
     page = html.unescape((tmp_path / "report.html").read_text())
     # Each says the same of the optimum.
-    assert report.standing.statement == misled.optimum == statement
+    assert report.conclusion.statement == misled.optimum == statement
     assert stored["provenance"]["optimum"] == statement
     for text in (flat(misled), flat(report), page, misled._repr_html_()):
         assert f"the optimum is {statement[0].lower()}{statement[1:]}" in html.unescape(text)
@@ -86,13 +86,13 @@ def test_a_better_optimum_of_a_profile_is_the_fits_own_everywhere(
     assert misled.notes[0] == report.notes[0]
     for again in (pickle.loads(pickle.dumps(misled)), misled):
         assert again.optimum == statement
-        assert again.report().standing.statement == statement
+        assert again.report().conclusion.statement == statement
     assert not best.report().found_by
 
 
 def test_before_its_report_a_fit_says_what_its_report_will() -> None:
     fit = miho.fit(wave, T, Y, BOUNDS)
-    assert fit.optimum == fit.report().standing.statement
+    assert fit.optimum == fit.report().conclusion.statement
     assert fit.optimum in flat(fit.report())
 
 
@@ -106,7 +106,7 @@ def test_a_better_optimum_of_the_bootstrap_is_reported(
 
     monkeypatch.setattr(report_steps, "bootstrap", replicates)
     report = misled.report(profiles=False, replicates=20)
-    assert report.standing.doubt.startswith(
+    assert report.conclusion.doubt.startswith(
         "the bootstrap found this optimum after 30 independent searches had ended"
     )
     assert misled.theta == pytest.approx(report.at.theta)
@@ -119,14 +119,14 @@ def test_a_descent_that_lowers_the_loss_of_the_run_is_said() -> None:
     lowered = "a descent from the run's result lowered the error from"
     assert lowered in fit.optimum
     assert lowered in flat(fit)
-    assert lowered in fit.report().standing.statement
+    assert lowered in fit.report().conclusion.statement
     exact = miho.fit(wave, T, Y, BOUNDS)
     assert "lowered" not in exact.optimum
 
 
 def test_a_robust_loss_is_judged_by_the_same_loss() -> None:
     fit = miho.fit(wave, T, Y, BOUNDS, loss=Huber(scale=0.5))
-    assert fit.optimum == fit.report().standing.statement
+    assert fit.optimum == fit.report().conclusion.statement
     assert "lowered" not in fit.optimum
 
 
@@ -147,14 +147,16 @@ def test_a_search_that_ended_at_its_last_bracket_claims_nothing() -> None:
 def test_ends_that_agree_claim_nothing_where_the_method_was_not_satisfied(agreeing: int) -> None:
     """As at a bound, where `MIHOGN` asks for more of them."""
     ends = Descents(agreeing, agreeing, agreeing, 0, (1.0,) * agreeing, brackets=True)
-    assert standing(1.0, 0.0, [ends]).statement.startswith("Converged: ")
-    stand = standing(1.0, 0.0, [replace(ends, settled=False)])
-    assert stand.statement == (
+    assert conclusion_from(1.0, 0.0, [ends]).statement.startswith("Converged: ")
+    conclusion = conclusion_from(1.0, 0.0, [replace(ends, settled=False)])
+    assert conclusion.statement == (
         f"In doubt: {agreeing} of {agreeing} independent searches found this optimum; the search "
         "ended before the evidence was sufficient."
     )
     check = Descents(20, 20, 20, 0, (1.0,) * 20)
-    assert not standing(1.0, 0.0, [replace(ends, settled=False), check]).doubt, "the check is"
+    assert not conclusion_from(1.0, 0.0, [replace(ends, settled=False), check]).doubt, (
+        "the check is"
+    )
 
 
 def test_a_report_to_more_digits_gives_the_fit_its_digits() -> None:
@@ -198,6 +200,6 @@ def test_a_report_without_time_casts_no_doubt_on_the_optimum() -> None:
     known = fit.optimum
     report = fit.report(seconds=0)
     assert report.omitted, "or this tests nothing"
-    assert report.standing.statement == fit.optimum == known
+    assert report.conclusion.statement == fit.optimum == known
     cut = replace(fit, theta=1.01 * fit.theta, moving=7)
-    assert "still improving after 7 evaluations" in cut.report(seconds=0).standing.doubt
+    assert "still improving after 7 evaluations" in cut.report(seconds=0).conclusion.doubt

@@ -71,7 +71,7 @@ def test_it_prints_in_words(tire: Report) -> None:
     for printed, name in zip(lines[8 : end - 1], quantities, strict=True):
         assert printed.strip().startswith(f"{name} ")
     words = " ".join(" ".join(lines[end + 1 :]).split())
-    assert words == " ".join([tire.standing.statement, *(f"- {note}" for note in tire.notes)])
+    assert words == " ".join([tire.conclusion.statement, *(f"- {note}" for note in tire.notes)])
 
 
 def test_it_says_what_is_wrong_in_words(tire: Report) -> None:

@@ -50,7 +50,7 @@ def solved(name: str, seed: int) -> miho.Fit:
 def test_a_system_that_is_solved_is_certain_and_the_search_stops(name: str, seed: int) -> None:
     fit = solved(name, seed)
     assert fit.error < 1e-12
-    assert fit._standing.certain
+    assert fit._conclusion.certain
     assert "zero to rounding" in fit.optimum
     assert "in doubt" not in str(fit)
     assert fit.descents.settled
@@ -75,7 +75,7 @@ def test_a_loss_that_is_small_but_not_zero_is_not_certain(offset: float) -> None
 
     fit = miho.fit(unsolvable, np.arange(3), np.zeros(3), dict.fromkeys("ab", (-10, 10)))
     assert fit.error == pytest.approx(offset / 3**0.5, rel=1e-3)
-    assert not fit._standing.certain
+    assert not fit._conclusion.certain
     assert "zero" not in fit.optimum
     assert fit.descents.finished >= BY_AGREEMENT
 
@@ -88,7 +88,7 @@ def test_exact_data_are_certain_and_noise_of_1e_9_is_not() -> None:
         return a * np.exp(-b * t)
 
     exact = miho.fit(decay, t, decay(t, 2, 1.5), bounds)
-    assert exact._standing.certain
+    assert exact._conclusion.certain
     assert exact.descents.finished < BY_AGREEMENT
     noise = 1e-9 * np.random.default_rng(0).standard_normal(t.size)
     assert "zero to rounding" not in miho.fit(decay, t, decay(t, 2, 1.5) + noise, bounds).optimum

@@ -46,7 +46,7 @@ def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
     written(tmp_path / "journal")
     journal = Journal(tmp_path / "journal", Named())
     assert journal.loaded == 5
-    assert journal.standing == "continues from 5 evaluations of an earlier call"
+    assert journal.status == "continues from 5 evaluations of an earlier call"
     value = journal[VALUES[3]]
     assert isinstance(value, np.ndarray)
     assert value.tolist() == [[3, 0.1]]
@@ -59,7 +59,7 @@ def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_the_file_comes_to_exist_with_its_first_value(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "folder" / "journal", Named())
     assert not journal.path.parent.exists()
-    assert not journal.standing
+    assert not journal.status
     journal.add(VALUES[0], np.zeros(1))
     assert journal.path.is_file()
     journal.close()

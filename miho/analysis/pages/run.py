@@ -30,7 +30,7 @@ from miho.figures.report import (
     waterfall_figure,
 )
 from miho.identification import Report, identified
-from miho.identification.statement import kind_of
+from miho.identification.conclusion import kind_of
 from miho.models.identified import parameters_text
 from miho.models.joint import rows_of_parts
 from miho.models.layout import OUTPUT, PART
@@ -175,7 +175,9 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
         Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
         Section(
             "Interpretation",
-            report.notes if report.standing.doubt else [report.standing.statement, *report.notes],
+            report.notes
+            if report.conclusion.doubt
+            else [report.conclusion.statement, *report.notes],
         ),
         Section(
             "Optima that the data cannot distinguish",
@@ -286,7 +288,7 @@ def _searched(report: Report) -> str:
 
 
 def _local_optimum(report: Report) -> str:
-    return " of this local optimum, which is in doubt" * bool(report.standing.doubt)
+    return " of this local optimum, which is in doubt" * bool(report.conclusion.doubt)
 
 
 def _rounded(frame: pd.DataFrame) -> pd.DataFrame:

@@ -36,12 +36,12 @@ def parameter_table(report: Report) -> pd.DataFrame:
 
 def _sandwich(report: Report) -> list[str]:
     """The kind of intervals that account for uneven spread, if the spread is uneven."""
-    return ["sandwich"] * (report.uneven and not report.standing.doubt)
+    return ["sandwich"] * (report.uneven and not report.conclusion.doubt)
 
 
 def _heading(report: Report, kind: str) -> str:
     """The heading of the column of intervals of a kind."""
-    local = " of this local optimum" * bool(report.standing.doubt)
+    local = " of this local optimum" * bool(report.conclusion.doubt)
     return f"{100 * report.level:g} % interval ({kind}){local}"
 
 

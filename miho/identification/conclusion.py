@@ -20,7 +20,7 @@ OVERLOOKED = 0.01
 
 
 @dataclass(frozen=True)
-class Standing:
+class Conclusion:
     """The evidence for an optimum, the source of the statement in every output.
 
     Parameters
@@ -55,7 +55,7 @@ def singular(kind: str) -> str:
     return {"independent searches": "independent search", "descents": "descent"}[kind]
 
 
-def standing(
+def conclusion_from(
     loss: float,
     rounding: float,
     searches: Sequence[Descents],
@@ -63,7 +63,7 @@ def standing(
     best_known: float | None = None,
     irreducible: Irreducible | None = None,
     error: float = 0.0,
-) -> Standing:
+) -> Conclusion:
     """The evidence for an optimum, or the doubt about it.
 
     Parameters
@@ -83,7 +83,7 @@ def standing(
 
     Returns
     -------
-    Standing
+    Conclusion
         If a search ended for another reason than its evidence, only the descents of a check can
         remove the doubt.
     """
@@ -103,7 +103,7 @@ def standing(
     settled = [search for search in searches if search.settled]
     all_settled = len(settled) == len(searches)
     if agreed.enough and (all_settled or _agreement(settled, loss, rounding).enough):
-        return Standing(f"{count}. Estimated {chance}")
+        return Conclusion(f"{count}. Estimated {chance}")
     alike = all_settled and agreeing == finished
     if alike and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
@@ -112,15 +112,15 @@ def standing(
                 f"no curve has an error more than {100 * below:.2g} % lower, judged by the scatter "
                 "of neighbouring points (95 % interval)"
             )
-            return Standing(f"{count}; {least}" if finished else least, certain=True)
+            return Conclusion(f"{count}; {least}" if finished else least, certain=True)
 
     # Insufficient evidence: how many searches agreed, and where the others ended.
     if not searches:
         single = "a single search cannot show whether a better optimum exists"
-        return Standing(single, single)
+        return Conclusion(single, single)
     if not finished:
         unfinished = f"no {singular(kind)} finished within the budget"
-        return Standing(unfinished, unfinished)
+        return Conclusion(unfinished, unfinished)
     if finished == 1:
         place = "found this optimum" if agreeing else "ended elsewhere"
         count = f"the only finished {singular(kind)}{starts} {place}{_stopped_early(dropped)}"
@@ -133,15 +133,15 @@ def standing(
         doubt += "; the search ended before the evidence was sufficient"
     elif agreeing == finished:
         doubt += ", and one is too few" if finished == 1 else f", and {finished} are too few"
-    return Standing(doubt, doubt)
+    return Conclusion(doubt, doubt)
 
 
-def _against_the_best_known(loss: float, best_known: float, rounding: float) -> Standing:
+def _against_the_best_known(loss: float, best_known: float, rounding: float) -> Conclusion:
     if loss <= best_known * (1 + OVERLOOKED) ** 2 + rounding:
-        return Standing("the best known optimum is reached", certain=True)
+        return Conclusion("the best known optimum is reached", certain=True)
     more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
     doubt = f"the error is {100 * more:.3g} % above the error of the best known optimum"
-    return Standing(doubt, doubt)
+    return Conclusion(doubt, doubt)
 
 
 def _stopped_early(count: int) -> str:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Report, make_report
+from miho.identification.conclusion import conclusion_from
 from miho.identification.irreducible import Irreducible
 from miho.identification.refit import refit
-from miho.identification.statement import standing
 from miho.methods.least_squares import LeastSquares
 from miho.methods.variable_projection import VariableProjection
 from miho.models.function_model import FunctionModel
@@ -58,24 +58,24 @@ def ended(*ends: float, started: int | None = None) -> Descents:
     ],
 )
 def test_descents_that_agree_are_evidence(descents: Descents | None, doubt: str) -> None:
-    stand = standing(1.0, 1e-14, [descents] if descents else [])
-    assert doubt in stand.doubt if doubt else not stand.doubt
-    assert not stand.certain
+    conclusion = conclusion_from(1.0, 1e-14, [descents] if descents else [])
+    assert doubt in conclusion.doubt if doubt else not conclusion.doubt
+    assert not conclusion.certain
 
 
 def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> None:
     """3 (3 + 1) / (20 * 19) is the share of Boender and Rinnooy Kan, of which 1 / 4 is better."""
     descents = ended(*[1.0] * 17, 2.0, 3.0, 3.0)
-    stand = standing(1.0, 0.0, [replace(descents, screened=1234)])
-    assert stand.evidence == (
+    conclusion = conclusion_from(1.0, 0.0, [replace(descents, screened=1234)])
+    assert conclusion.evidence == (
         "17 of 20 descents (1,234 starting points screened) found this optimum. Estimated chance "
         "that another search finds a better one: 0.79 %"
     )
-    assert standing(1.0, 0.0, [descents]).evidence.startswith(
+    assert conclusion_from(1.0, 0.0, [descents]).evidence.startswith(
         "17 of 20 descents found this optimum. "
     )
     check = replace(ended(*[1.0] * 5), screened=100)
-    evidence = standing(1.0, 0.0, [descents, check]).evidence
+    evidence = conclusion_from(1.0, 0.0, [descents, check]).evidence
     assert evidence.startswith("22 of 25 descents (100 starting points screened) found"), evidence
 
 
@@ -84,20 +84,20 @@ def test_what_was_dropped_on_fewer_rows_is_said_and_may_be_an_optimum_of_its_own
     brackets = replace(
         ended(*[1.0] * 10), started=12, finished=12, screened=99, dropped=2, brackets=True
     )
-    stand = standing(1.0, 0.0, [brackets])
-    assert stand.evidence == (
+    conclusion = conclusion_from(1.0, 0.0, [brackets])
+    assert conclusion.evidence == (
         "10 of 12 independent searches (99 starting points screened) found this optimum, and 2 "
         "were stopped on a part of the rows because they were no better. Estimated chance that "
         "another search finds a better one: 2.3 %"
     )
-    assert not stand.doubt
+    assert not conclusion.doubt
     few = replace(brackets, ends=(1.0,) * 7, started=8, finished=8, dropped=1)
-    assert standing(1.0, 0.0, [few]).doubt == (
+    assert conclusion_from(1.0, 0.0, [few]).doubt == (
         "only 7 of 8 independent searches (99 starting points screened) found this optimum, and 1 "
         "was stopped on a part of the rows because it was no better; estimated chance that another "
         "search finds a better one: 3.6 %"
     )
-    evidence = standing(1.0, 0.0, [brackets, ended(1.0)]).evidence
+    evidence = conclusion_from(1.0, 0.0, [brackets, ended(1.0)]).evidence
     assert evidence.startswith("11 of 13 descents (99 starting points screened)"), (
         "not all are brackets"
     )
@@ -105,18 +105,20 @@ def test_what_was_dropped_on_fewer_rows_is_said_and_may_be_an_optimum_of_its_own
 
 def test_what_is_known_needs_no_descents() -> None:
     alone = ended(1.0, *[2.0] * 29)
-    assert standing(1.0, 9e-16, [alone], best_known=1.0).certain
-    missed = standing(4.0, 9e-16, [ended(*[4.0] * 30)], best_known=1.0)
+    assert conclusion_from(1.0, 9e-16, [alone], best_known=1.0).certain
+    missed = conclusion_from(4.0, 9e-16, [ended(*[4.0] * 30)], best_known=1.0)
     assert "100 % above the error of the best known optimum" in missed.doubt
     noise = Irreducible(1.0, 0.9, 1.1)
-    assert standing(1.0, 9e-16, [], irreducible=noise, error=1.0).certain
-    assert standing(1.0, 9e-16, [ended(1.0)], irreducible=noise, error=1.0).certain
-    assert standing(1.0, 9e-16, [], irreducible=noise, error=1.2).doubt
-    assert standing(1.0, 9e-16, [alone], irreducible=noise, error=1.0).doubt, "ended elsewhere"
+    assert conclusion_from(1.0, 9e-16, [], irreducible=noise, error=1.0).certain
+    assert conclusion_from(1.0, 9e-16, [ended(1.0)], irreducible=noise, error=1.0).certain
+    assert conclusion_from(1.0, 9e-16, [], irreducible=noise, error=1.2).doubt
+    assert conclusion_from(1.0, 9e-16, [alone], irreducible=noise, error=1.0).doubt, (
+        "ended elsewhere"
+    )
     coarse = Irreducible(1.0, 0.6, 9.0)
-    assert standing(1.0, 9e-16, [], irreducible=coarse, error=1.0).doubt
+    assert conclusion_from(1.0, 9e-16, [], irreducible=coarse, error=1.0).doubt
     zero = ended(*[1e-22, 3e-20, 1e-25, 4e-19, 2e-21, 6e-23, 5e-20])
-    assert not standing(1e-25, 1e-16, [zero]).doubt, "differences of rounding"
+    assert not conclusion_from(1e-25, 1e-16, [zero]).doubt, "differences of rounding"
 
 
 def two_decays(x, *, b1, b2, b3, b4, b5):
@@ -187,7 +189,9 @@ def test_a_failed_search_blames_neither_data_nor_model() -> None:
     assert not accused(report)[1:], "only the first sentence, which is of the search"
     good = make_report(problem, record.theta, descents=record.descents, better=truth)
     assert good.at.theta == pytest.approx(truth, rel=0.2)
-    assert "none of 30 descents (1,500 starting points screened) found this" in good.standing.doubt
+    assert (
+        "none of 30 descents (1,500 starting points screened) found this" in good.conclusion.doubt
+    )
 
 
 def test_an_error_close_to_the_noise_does_not_make_a_local_optimum_certain() -> None:
@@ -207,7 +211,7 @@ def test_an_error_close_to_the_noise_does_not_make_a_local_optimum_certain() -> 
     report = make_report(problem, record.theta, descents=record.descents, profiles=False)
     assert report.at.theta[3] > 10, "or this tests nothing"
     assert report.error < report.irreducible.high, "or this tests nothing"
-    assert report.standing.doubt
+    assert report.conclusion.doubt
     assert not accused(report)
 
 
@@ -252,7 +256,7 @@ def test_a_wall_of_nan_is_no_end() -> None:
     record = minimize(LeastSquares(), problem)
     assert record.rejected
     report = make_report(problem, record.theta, descents=record.descents)
-    assert not report.standing.doubt
+    assert not report.conclusion.doubt
     frame = report.parameters
     assert np.isfinite(frame[["value", "standard error", "profile low", "profile high"]]).all(
         axis=None
@@ -283,7 +287,7 @@ def test_a_descent_from_behind_the_wall_says_so() -> None:
 def test_a_report_ends_in_time_and_says_what_is_missing() -> None:
     report = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9)
     assert "profile intervals of b1, b2 are left out" in report.notes[-1]
-    assert "still improving" in report.standing.doubt
+    assert "still improving" in report.conclusion.doubt
     requested = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9, profiles=True)
     assert all(requested.profiles), "what is asked for takes the time it takes"
 
@@ -340,7 +344,7 @@ def test_nist_problems_are_solved_or_in_doubt(
     method = VariableProjection() if settings.get("linear") else LeastSquares()
     record = minimize(method, problem, Budget(evaluations=500_000), seed)
     report = make_report(problem, record.theta, descents=record.descents)
-    if report.standing.doubt:
+    if report.conclusion.doubt:
         assert not accused(report)[1:]
         assert report.notes[0].startswith("the optimum is in doubt")
     else:
