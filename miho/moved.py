@@ -48,6 +48,19 @@ MOVED = {
     "miho.models.ResidualSystem": "baselines.problems.ResidualSystem",
 }
 """Present dotted names of modules and public names, by former ones."""
+PARTS_OF_ORACLE = {
+    "ahead": "workers.ahead",
+    "first_ready": "workers.first_ready",
+    "spreads": "workers.spreads",
+    "usage": "workers.usage",
+    "busy": "workers.busy",
+    "descent": "starts.descent",
+    "record_descent": "starts.add",
+    "record_dropped": "starts.dropped += 1",
+    "record_screened": "starts.screened += n",
+    "agreement": "starts.agreement(oracle.best)",
+}
+"""Present places of members of an oracle, by former names."""
 SETTINGS = {
     "rows": "rows_per_parameter",
     "jump": "full_data_share",

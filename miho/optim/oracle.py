@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled import Block, Kernel
+from miho.moved import PARTS_OF_ORACLE
 from miho.optim.distribution import Distribution
 from miho.optim.meter import (
     Budget,
@@ -31,23 +32,8 @@ from miho.quantities import Array
 if TYPE_CHECKING:
     from miho.parallel import Evaluations
 
-CHUNK_SECONDS = 0.02
-"""Seconds of evaluations between two checks of the clock."""
-MOVED = {
-    "ahead": "workers.ahead",
-    "first_ready": "workers.first_ready",
-    "spreads": "workers.spreads",
-    "usage": "workers.usage",
-    "busy": "workers.busy",
-    "descent": "starts.descent",
-    "record_descent": "starts.add",
-    "record_dropped": "starts.dropped += 1",
-    "record_screened": "starts.screened += n",
-    "agreement": "starts.agreement(oracle.best)",
-}
-"""Members of a part of the oracle, by their former names."""
 NO_LOSS = np.array([math.inf])
-NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
+NO_LOSSES = np.empty(0)
 
 
 class Oracle:
@@ -117,9 +103,8 @@ class Oracle:
         clock: Clock | None = None,
         evaluations: Evaluations | None = None,
     ) -> None:
-        self.budget = budget
+        self.budget, self.rows = budget, problem.rows
         self.space = problem.space if space is None else space
-        self.rows = problem.rows
         self.meter = Meter() if meter is None else meter
         self.starts = self.meter.starts
         self.starts.rounding = max(problem.rounding, problem.resolution)
@@ -133,19 +118,15 @@ class Oracle:
         self.workers = Distribution(problem, self._values, evaluations, self.meter, self._limit)
         self._deadline = math.inf if budget.seconds is None else budget.seconds
         self._target = -math.inf if budget.target is None else budget.target
+        observe = None if observer is None else partial(observer, self)
         self._recorder = Recorder(  # last, because its clock starts here
-            self.meter,
-            self.space,
-            self._limit,
-            self.rows,
-            Clock() if clock is None else clock,
-            None if observer is None else partial(observer, self),
+            self.meter, self.space, self._limit, self.rows, clock or Clock(), observe
         )
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name):
-            now = f"; it is oracle.{MOVED[name]} now" if name in MOVED else ""
+            now = f"; it is oracle.{PARTS_OF_ORACLE[name]} now" if name in PARTS_OF_ORACLE else ""
             raise AttributeError(f"Oracle has no attribute {name!r}{now}")
 
     @property
@@ -216,13 +197,14 @@ class Oracle:
                 if not begun and self.workers.spreads:
                     self.workers.ahead(thetas[losses.size :], fidelity)
                     begun = True
-                rows = thetas[losses.size : losses.size + self._chunk(n - losses.size, cost)]
+                rows = thetas[losses.size :]
+                rows = rows[: self._recorder.chunk(len(rows), cost)]
                 if not len(rows):
                     raise BudgetExhausted
                 started = self.seconds
                 self._recorder.count_outside(rows)
                 chunk = self._values.losses(rows, fidelity)
-                self._record(rows, chunk, cost, started)
+                self._recorder.losses(rows, chunk, cost, started)
                 losses = np.concatenate((losses, chunk)) if losses.size else chunk
                 self._check_end()
         except BaseException:
@@ -277,15 +259,11 @@ class Oracle:
             residuals = self.residuals(theta, share)
         except UnusableValueError:
             return True
-        places = np.arange(residuals.size)
-        if share < 1 and self.order is not None:
-            places = self.order[: residuals.size]
-        data = places < inputs[0].size  # without residuals of priors
-        return has_structure([x[places[data]] for x in inputs], residuals[data])
+        return has_structure(inputs, residuals, self.order if share < 1 else None)
 
     def affords(self, evaluations: float) -> bool:
         """Whether the budget covers this number of further evaluations, up to rounding."""
-        return self._recorder.count_after(evaluations) <= self._limit
+        return self._recorder.affords(evaluations)
 
     def cost(self, fidelity: float) -> float:
         """Cost of one evaluation at a fidelity, in full evaluations."""
@@ -329,9 +307,9 @@ class Oracle:
         try:
             residuals, loss = self._values.residuals(theta, *part)
         except UnusableValueError:
-            self._record(theta[None], NO_LOSS, cost, started)
+            self._recorder.losses(theta[None], NO_LOSS, cost, started)
             raise
-        self._record(theta[None], loss, cost, started)
+        self._recorder.losses(theta[None], loss, cost, started)
         return residuals
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -344,13 +322,13 @@ class Oracle:
         self._check_open()
         if self.workers.spreads:
             self.workers.ahead(thetas, fidelity, "residuals")
-        rows = thetas[: self._chunk(len(thetas), cost)]
+        rows = thetas[: self._recorder.chunk(len(thetas), cost)]
         if not len(rows):
             raise BudgetExhausted
         started = self.seconds
         self._recorder.count_outside(rows)
         residuals, losses = self._values.residual_rows(rows, *part)
-        self._record(rows, losses, cost, started)
+        self._recorder.losses(rows, losses, cost, started)
         return residuals
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
@@ -367,14 +345,10 @@ class Oracle:
         try:
             jacobian = self._values.jacobian(theta, *part)
         except UnusableValueError:
-            self._charge(cost)
+            self._recorder.derivatives(cost)
             raise
-        self._charge(cost)
+        self._recorder.derivatives(cost)
         return jacobian
-
-    def _charge(self, cost: float) -> None:
-        self._recorder.charge(cost)
-        self.meter.seconds = self.seconds
 
     def _part(self, fidelity: float) -> tuple[tuple[float, ...], float]:
         """Arguments for a fidelity (none for all rows), and the cost of an evaluation."""
@@ -393,11 +367,10 @@ class Oracle:
         meter = self.meter
         while True:
             self._check_open()
-            rate = meter.evaluations / meter.seconds if meter.seconds else 0.0
-            most = min(self.remaining, max(CHUNK_SECONDS * rate, least))
+            most = min(self.remaining, max(self._recorder.at_once, least))
             started = self.seconds
             report = block(most, meter.best, self._target)
-            self._record_block(report, started)
+            self._recorder.block(report, started)
             self._check_end()
             if report.finished:
                 return
@@ -407,10 +380,8 @@ class Oracle:
     def stop(self) -> None:
         """Read the clocks for the last time, after the last evaluation."""
         self._recorder.stop()
-        usage, recorder = self.workers.usage, self._recorder
-        if usage is not None and usage.each is None and not usage.known and recorder.evaluated:
-            usage.here += round(recorder.evaluated)  # blocks are timed here only
-            usage.each = recorder.evaluating / recorder.evaluated
+        if self.workers.usage is not None:
+            self.workers.usage.of_blocks(self._recorder.evaluated, self._recorder.evaluating)
 
     def _check_open(self) -> None:
         self._check_end()
@@ -426,41 +397,3 @@ class Oracle:
     def _check_interrupt(self) -> None:
         if self.interrupted:
             raise RunInterrupted
-
-    def _chunk(self, rows: int, cost: float) -> int:
-        """Number of rows to evaluate before the next check of the clock, within the budget."""
-        meter = self.meter
-        if rows > 1:
-            rate = meter.evaluations / meter.seconds if meter.seconds > 0 else 0.0
-            rows = min(rows, max(1, int(CHUNK_SECONDS * rate / cost)))
-        if not self.affords(rows * cost):
-            rows = int(self.remaining / cost)
-            rows += self.affords((rows + 1) * cost)
-        return rows
-
-    def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
-        """Record a batch of losses (n,) with its improvements."""
-        meter, least = self.meter, np.minimum.reduce(losses)
-        if self.starts.current is not None and cost == 1.0:
-            self.starts.current.see(rows, losses)
-        if cost == 1.0 and least < meter.best:
-            lower = losses < np.minimum.accumulate(np.append(meter.best, losses[:-1]))
-            improving = np.flatnonzero(lower)
-            improved, thetas = losses[improving], rows[improving]
-        else:
-            improving, improved, thetas = NOWHERE, NO_LOSSES, rows[:0]
-            if meter.best == math.inf and losses.size:
-                meter.note(cost, losses, rows)
-        at = (improving + 1).astype(float)
-        self._recorder.record(at, improved, thetas, losses.size * cost, started)
-
-    def _record_block(self, block: Block, started: float) -> None:
-        """Record the evaluations and improvements of a compiled block."""
-        for reason, count in block.rejected.items():
-            if count:
-                self.meter.reject(reason, count)
-        if block.provisional is not None:
-            self.meter.note(*block.provisional)
-        if block.losses.size:
-            self._recorder.count_outside(block.thetas)  # a block reports improvements only
-        self._recorder.record(block.at, block.losses, block.thetas, block.evaluations, started)

@@ -7,14 +7,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from miho.compiled import Block
 from miho.optim.meter import Clock, Meter
 from miho.optim.space import Space
 from miho.quantities import Array
 
 OBSERVE_SECONDS = 0.1
+CHUNK_SECONDS = 0.02
+"""Seconds of evaluations between two checks of the clock."""
 CHECKED_AT_ONCE = 1024
 OFF_A_ROW, ROUNDED = 1e-6, 1e-15
 """Tolerance of a sum of fractions as a whole number of rows, absolute and relative."""
+NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
 class Recorder:
@@ -93,6 +97,57 @@ class Recorder:
             self._observe()
             self._cpu += self._clock.cpu() - cpu
             self._wall = self._clock.wall() - now
+
+    @property
+    def at_once(self) -> float:
+        """Evaluations between two checks of the clock, by the rate so far."""
+        meter = self.meter
+        return CHUNK_SECONDS * meter.evaluations / meter.seconds if meter.seconds > 0 else 0.0
+
+    def affords(self, evaluations: float) -> bool:
+        """Whether the limit covers this number of further evaluations, up to rounding."""
+        return self.count_after(evaluations) <= self._limit
+
+    def chunk(self, rows: int, cost: float) -> int:
+        """Number of rows to evaluate before the next check of the clock, within the limit."""
+        if rows > 1:
+            rows = min(rows, max(1, int(self.at_once / cost)))
+        if not self.affords(rows * cost):
+            rows = int((self._limit - self.meter.evaluations) / cost)
+            rows += self.affords((rows + 1) * cost)
+        return rows
+
+    def losses(self, rows: Array, losses: Array, cost: float, started: float) -> None:
+        """Record a batch of configurations (n, d) and losses (n,) with its improvements."""
+        meter, least = self.meter, np.minimum.reduce(losses)
+        if meter.starts.current is not None and cost == 1.0:
+            meter.starts.current.see(rows, losses)
+        if cost == 1.0 and least < meter.best:
+            lower = losses < np.minimum.accumulate(np.append(meter.best, losses[:-1]))
+            improving = np.flatnonzero(lower)
+            improved, thetas = losses[improving], rows[improving]
+        else:
+            improving, improved, thetas = NOWHERE, NO_LOSSES, rows[:0]
+            if meter.best == math.inf and losses.size:
+                meter.note(cost, losses, rows)
+        at = (improving + 1).astype(float)
+        self.record(at, improved, thetas, losses.size * cost, started)
+
+    def block(self, block: Block, started: float) -> None:
+        """Record the evaluations and improvements of a compiled block."""
+        for reason, count in block.rejected.items():
+            if count:
+                self.meter.reject(reason, count)
+        if block.provisional is not None:
+            self.meter.note(*block.provisional)
+        if block.losses.size:
+            self.count_outside(block.thetas)  # a block reports improvements only
+        self.record(block.at, block.losses, block.thetas, block.evaluations, started)
+
+    def derivatives(self, cost: float) -> None:
+        """Count derivatives."""
+        self.charge(cost)
+        self.meter.seconds = self.seconds
 
     def charge(self, evaluations: float) -> None:
         """Count evaluations that were allowed; only rounding can exceed the limit."""

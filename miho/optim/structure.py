@@ -58,8 +58,15 @@ Order = NDArray[np.intp]
 """Rows (N,) in the order of an input."""
 
 
-def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
-    """Whether residuals (N,) have a structure along their inputs, (N,) each, that noise lacks."""
+def has_structure(inputs: Sequence[Array], residuals: Array, order: Order | None = None) -> bool:
+    """Whether residuals (N,) have a structure along the inputs, (rows,) each, that noise lacks.
+
+    The residuals are those of the first rows in this order; residuals of priors, after all rows,
+    are left out.
+    """
+    places = np.arange(residuals.size) if order is None else order[: residuals.size]
+    data = places < inputs[0].size
+    inputs, residuals = [x[places[data]] for x in inputs], residuals[data]
     sample = slice(None, None, -(-residuals.size // MOST))
     X = [x[sample] / 2 for x in inputs]  # the range of a half does not overflow
     spans = [np.ptp(x) for x in X]

@@ -51,6 +51,12 @@ class Usage:
         if self._began is None:
             self._began = time.perf_counter()
 
+    def of_blocks(self, evaluations: float, seconds: float) -> None:
+        """Count compiled blocks, unless evaluations were timed one by one."""
+        if evaluations and self.each is None and not self.known:
+            self.here += round(evaluations)
+            self.each = seconds / evaluations
+
     def end(self) -> None:
         """Stop the clock."""
         if self._began is not None:
