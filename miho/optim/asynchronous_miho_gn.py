@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.phases import CLOSED, POLISH
+from miho.optim.credibility import check_structure
 from miho.optim.gauss_newton_steps import Round, rounds
 from miho.optim.miho_gn import MIHOGN
 from miho.optim.miho_gn_settings import MIHOGNSettings
@@ -116,7 +117,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         if search.settings.compiled or search.linear or not search.level_rows[-1]:
             self.method.step(search, oracle)
             return
-        self.method.test(search, oracle)
+        check_structure(search, oracle)
         if state.arrived is None:
             state.arrived = self._next(state, oracle)
         bracket = state.brackets[state.arrived]

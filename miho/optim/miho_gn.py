@@ -20,21 +20,19 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
 from miho.optim.brackets import around, draw_starts
-from miho.optim.evidence import Agreement, in_optimum
+from miho.optim.credibility import check_structure, credible, is_tested, solves
+from miho.optim.evidence import in_optimum
 from miho.optim.gauss_newton_blocks import run_phases
-from miho.optim.meter import BudgetExhausted, UnusableValueError
+from miho.optim.meter import UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import MIHOGNState, at_bound, box_of, square_distances
+from miho.optim.miho_gn_state import MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.zero import EPSILON, is_rounding, is_zero
+from miho.optim.zero import is_rounding
 
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in this number, then on all
 rows."""
-MOST = 3 / 4
-"""Share of the ends with a known loss that a doubtful optimum needs. For wrong optima on families
-of peaks and periods (`experiments.check.false_ends`) it was 0.4 to 0.7."""
 ATTEMPTS = 1000
 """Attempts to find a usable configuration of a problem with an unknown number of rows."""
 
@@ -184,10 +182,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
-        if state.phase == CLOSED and self._solves(state, oracle):
+        if state.phase == CLOSED and solves(state, oracle):
             self._polish(state, oracle)
         if state.phase == CLOSED:
-            self.test(state, oracle)
+            check_structure(state, oracle)
         if state.phase == CLOSED:
             self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
@@ -335,81 +333,13 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False
         agreement = oracle.starts.agreement(oracle.best)
-        agreed = agreement.enough and self._credible(state, oracle, agreement)
-        enough = agreed and state.passed >= self.challenges and self._tested(state, oracle)
+        agreed = agreement.enough and credible(self, state, oracle, agreement)
+        enough = agreed and state.passed >= self.challenges and is_tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
         state.challenged = agreed and not enough
         if enough or state.bracket >= self.max_brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
-
-    def _credible(self, state: MIHOGNState, oracle: Oracle, agreement: Agreement) -> bool:
-        """Whether the agreement on the best minimum can be trusted.
-
-        It can if the data determine the minimum and only noise is left. A doubtful minimum needs
-        more agreeing ends, most of the ends with a known loss, and a longer search; half of these
-        ends are enough if only its residuals have structure. A minimum off the bounds that is
-        neither determined nor noise may be a plateau and needs twice as many, by which time starts
-        by scale have been drawn from all of DECADES.
-        """
-        known, best = state.minima, state.best_minimum
-        determined, noise = bool(known.determined[best]), self._leaves_noise(state, oracle)
-        if determined and noise:
-            return True
-        if agreement.agreeing < MOST * (agreement.finished - oracle.meter.starts.dropped):
-            return False
-        if determined and known.loss[best] <= oracle.noise:
-            return 2 * agreement.agreeing >= self.doubtful_brackets
-        plateau = not (determined or noise or at_bound(known.x[best]))
-        enough = agreement.agreeing >= self.doubtful_brackets * (1 + plateau)
-        return enough and oracle.evaluations >= self.doubtful_cost * state.best_found_after
-
-    def _leaves_noise(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the best minimum's loss is at most noise, and its residuals look like noise.
-
-        Untested residuals count as noise.
-        """
-        loss = float(state.minima.loss[state.best_minimum])
-        if loss > oracle.noise or loss <= oracle.resolution:
-            return loss <= oracle.resolution
-        return not (self._tested(state, oracle) and state.structured)
-
-    def _tested(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the residuals at the best minimum have been tested for structure, if needed.
-
-        The test is not needed if the loss alone decides.
-        """
-        loss = float(state.minima.loss[state.best_minimum])
-        known = in_optimum(loss, state.tested, oracle.resolution)
-        return known or loss > oracle.noise or loss <= oracle.resolution
-
-    def test(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Test the residuals of an optimum for structure before it is challenged."""
-        if state.challenged and not self._tested(state, oracle):
-            best = state.best_minimum
-            state.structured = oracle.structured(state.theta(state.minima.x[best]))
-            state.tested = float(state.minima.loss[best])
-            state.challenged = not state.structured
-
-    def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the best new minimum solves a system of equations, up to rounding.
-
-        Costs one evaluation of residuals and derivatives if the loss is rounding relative to the
-        first loss of the run.
-        """
-        new = state.minima.loss[state.judged :]
-        if oracle.rounding > 0 or not new.size or new.min() > EPSILON * oracle.trace.loss[0]:
-            return False
-        x = state.box.origin + state.box.width * state.minima.x[state.judged + np.argmin(new)]
-        theta = state.space.decode(x)
-        if not oracle.affords(oracle.jacobian_cost + 1):
-            raise BudgetExhausted
-        zero = False
-        with contextlib.suppress(UnusableValueError):
-            J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0)
-            zero = is_zero(oracle.residuals(theta, goes_on=True), J, x, state.space)
-        state.judged = state.minima.loss.size
-        return zero
 
     def _polish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Descend from the best configuration of the run to the last digits."""

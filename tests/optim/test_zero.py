@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import miho
-from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, miho_gn, minimize
+from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, credibility, minimize
 from miho.optim.zero import EPSILON, is_rounding, is_zero
 
 SEEDS = range(5)
@@ -61,7 +61,7 @@ def test_without_the_rule_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) ->
     problem = solved("powell_singular", 0).problem
     run = minimize(MIHOGN(max_brackets=20), problem)
     assert run.outcome is Outcome.CONVERGED
-    monkeypatch.setattr(miho_gn, "is_zero", lambda *_: False)
+    monkeypatch.setattr(credibility, "is_zero", lambda *_: False)
     longer = minimize(MIHOGN(max_brackets=20), problem)
     assert longer.evaluations > 1.5 * run.evaluations
 
