@@ -11,10 +11,11 @@ if TYPE_CHECKING:
         StaleJournalError,
         UncheckedJournalError,
     )
-    from miho.parallel.evaluations import Evaluated, Evaluations
+    from miho.parallel.evaluations import Evaluations
     from miho.parallel.journal import Journal, calls_of
     from miho.parallel.pending import Ahead
     from miho.parallel.pool import Pool, Workers, open_pool
+    from miho.parallel.rows import Evaluated
 
 __all__ = [
     "Ahead",

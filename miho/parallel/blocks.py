@@ -7,11 +7,11 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, wait
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
-from miho.parallel.pool import LOOK, Pool
+from miho.parallel.pool import Pool, value_of
 from miho.parallel.process_executor import WorkerLostError
 from miho.parallel.remote import Answer
 from miho.parallel.worth import WORTH_SENDING
@@ -72,20 +72,9 @@ def in_blocks(
                 return
             length, future = under_way.popleft()
             try:
-                yield from _answer(future, check)
+                yield from value_of(future, check)
             except WorkerLostError as error:
                 yield from itertools.repeat(error, length)
     finally:
         for _, future in under_way:
             future.cancel()
-
-
-def _answer(future: Future[Answer], check: Callable[[], object]) -> list[Any]:
-    """Values of a block. The wait is short enough for signals to be handled."""
-    while not future.done():
-        wait([future], LOOK)
-        check()
-    answer = future.result()
-    if answer.raised is not None:
-        raise answer.raised.as_error()
-    return list(answer.value)

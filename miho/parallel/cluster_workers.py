@@ -8,8 +8,8 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic
 
 from miho.parallel.cluster import PATIENCE, ClusterLost
@@ -26,7 +26,7 @@ LEAVING = 1.0
 """Time limit [s] for giving up jobs, in case a machine does not answer."""
 
 
-class ClusterWorkers(Generic[Job, Result]):
+class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Generic[Job, Result]):
     """Workers on a Dask cluster, one job per thread; a context manager like `Workers`.
 
     Each job runs in a process of its worker that no other job shares at the same time, with the
@@ -56,15 +56,7 @@ class ClusterWorkers(Generic[Job, Result]):
         self._count, self._counted = 1, float("-inf")
         self._broken = False
 
-    def __enter__(self) -> ClusterWorkers[Job, Result]:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.kill()
 
     @property

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, InvalidStateError
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -24,12 +23,11 @@ from miho.parallel.pending import Ahead, Pending
 from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import HungError, OverdueError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
-from miho.parallel.rows import ByRows, Rows, as_array
+from miho.parallel.rows import ByRows, Evaluated, Rows, Send, as_array
 from miho.parallel.usage import Usage
 from miho.parallel.worth import Worth, is_expensive
 
 Array = NDArray[np.float64]
-Send = Callable[[Array], Future[Answer]]
 
 MOST_LOST = 50
 """Chunks in a row that may end their workers before the run gives up."""
@@ -37,40 +35,6 @@ PATIENCE = 7.0
 """Seconds that a broken connection has to recover. Dask tries for five."""
 MOST_KEPT = 1000
 """Values of failed batches that are kept, in case their rows are requested again one by one."""
-
-
-@dataclass(frozen=True)
-class Evaluated:
-    """A function of parameter rows that workers may evaluate.
-
-    Parameters
-    ----------
-    name : str
-        Key of the function in the journal.
-    function : callable
-        Maps parameter rows (n, d) to values (n, ...).
-    shape : tuple of int
-        Shape of the values of one row.
-    evaluations : Evaluations
-        Makes the evaluations.
-    send : callable, optional
-        Submits rows to the workers.
-    losses : callable, optional
-        Maps values (n, ...) to losses (n,), to rank the values.
-    """
-
-    name: str
-    function: Rows
-    shape: tuple[int, ...]
-    evaluations: Evaluations = field(repr=False)
-    send: Send | None = field(default=None, repr=False)
-    losses: Callable[[Array], Array] | None = field(default=None, repr=False)
-
-    def __call__(self, thetas: Array) -> Array:
-        """Values (n, ...) of rows (n, d); an exception of the function becomes a ValueError."""
-        if self.evaluations.resting():
-            return self.evaluations.worth.brief(self.function, thetas)
-        return self.evaluations.values(self, thetas)
 
 
 class Evaluations:

@@ -170,12 +170,7 @@ class Pool:
         self.flush()
         try:
             for future in futures:
-                while not future.done():  # in steps, so that signals are handled
-                    wait([future], LOOK)
-                answer = future.result()
-                if answer.raised is not None:
-                    raise answer.raised.as_error()
-                yield answer.value
+                yield value_of(future)
         finally:
             for future in futures:
                 future.cancel()
@@ -263,6 +258,20 @@ class Pool:
 
         submit(payload)
         return result
+
+
+def value_of(future: Future[Answer], check: Callable[[], object] = lambda: None) -> Any:
+    """Wait for the value of a call in steps, so that signals are handled; raise its exception.
+
+    `check` is called after each step, and may raise.
+    """
+    while not future.done():
+        wait([future], LOOK)
+        check()
+    answer = future.result()
+    if answer.raised is not None:
+        raise answer.raised.as_error()
+    return answer.value
 
 
 class MapExecutor(Executor):

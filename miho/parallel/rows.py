@@ -1,20 +1,25 @@
-"""Call a function of parameter rows so that a row that raises affects no other row."""
+"""Functions of parameter rows, of which a row that raises affects no other row."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.remote import Raised
+from miho.parallel.remote import Answer, Raised
+
+if TYPE_CHECKING:
+    from miho.parallel.evaluations import Evaluations
 
 Array = NDArray[np.float64]
 Rows = Callable[[Array], Array]
 """Maps parameter rows (n, d) to values (n, ...); the value of a row does not depend on other
 rows."""
+Send = Callable[[Array], Future[Answer]]
 
 
 @dataclass(frozen=True)
@@ -41,3 +46,37 @@ class ByRows:
 def as_array(value: Any) -> Array | Raised:
     """A value in the precision of the journal."""
     return value if isinstance(value, Raised) else np.asarray(value, dtype=float)
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """A function of parameter rows that workers may evaluate.
+
+    Parameters
+    ----------
+    name : str
+        Key of the function in the journal.
+    function : callable
+        Maps parameter rows (n, d) to values (n, ...).
+    shape : tuple of int
+        Shape of the values of one row.
+    evaluations : Evaluations
+        Makes the evaluations.
+    send : callable, optional
+        Submits rows to the workers.
+    losses : callable, optional
+        Maps values (n, ...) to losses (n,), to rank the values.
+    """
+
+    name: str
+    function: Rows
+    shape: tuple[int, ...]
+    evaluations: Evaluations = field(repr=False)
+    send: Send | None = field(default=None, repr=False)
+    losses: Callable[[Array], Array] | None = field(default=None, repr=False)
+
+    def __call__(self, thetas: Array) -> Array:
+        """Values (n, ...) of rows (n, d); an exception of the function becomes a ValueError."""
+        if self.evaluations.resting():
+            return self.evaluations.worth.brief(self.function, thetas)
+        return self.evaluations.values(self, thetas)

@@ -12,10 +12,10 @@ import threading
 import time
 import types
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from multiprocessing import connection, forkserver
 from multiprocessing.process import BaseProcess
-from types import TracebackType
 from typing import Any, Generic
 
 from miho.parallel.errors import SPURIOUS_INTERRUPT
@@ -67,7 +67,7 @@ class _Worker(Generic[Job]):
     interrupted: bool = False
 
 
-class Workers(Generic[Job, Result]):
+class Workers(AbstractContextManager["Workers[Job, Result]"], Generic[Job, Result]):
     """Up to `count` worker processes that each do `work` on one job at a time; a context manager.
 
     A worker is a process that has imported `modules` and shares no state with the parent. It does
@@ -98,15 +98,7 @@ class Workers(Generic[Job, Result]):
         self._context = _context(modules)
         self.watch = Watch()
 
-    def __enter__(self) -> Workers[Job, Result]:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.kill()
 
     @property
