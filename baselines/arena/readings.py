@@ -154,10 +154,10 @@ def short_table(claims: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     for words, table in claims.items():
         row, reproduced = {"reading": words}, 0
         for claim, column in COLUMNS:
-            found = table[table["claim"].str.contains(claim, regex=False)].iloc[0]
-            row[column] = _marked(found["ours"].partition(" [")[0], found["verdict"])
+            match = table[table["claim"].str.contains(claim, regex=False)].iloc[0]
+            row[column] = _marked(match["ours"].partition(" [")[0], match["verdict"])
             counts = "interpreted" not in column
-            reproduced += counts and found["verdict"] == REPRODUCED
+            reproduced += counts and match["verdict"] == REPRODUCED
         rows.append({**row, "reproduced of 7": str(reproduced)})
     return pd.DataFrame(rows)
 

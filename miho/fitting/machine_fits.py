@@ -35,17 +35,17 @@ CONVERGED, EVIDENT, SINGULAR = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Found(Ends):
+class Optima(Ends):
     """Ends, their covariance (M, d, d), and flags (M, 3) of `miho/core/many.h`."""
 
     covariance: Array
     flags: NDArray[np.bool_]
 
-    def some(self, at: Indices) -> Found:
+    def some(self, at: Indices) -> Optima:
         """Results at given positions."""
-        return Found(*(getattr(self, field.name)[at] for field in fields(self)))
+        return Optima(*(getattr(self, field.name)[at] for field in fields(self)))
 
-    def put(self, at: Indices, other: Found) -> None:
+    def put(self, at: Indices, other: Optima) -> None:
         """Replace the results at given positions."""
         for field in fields(self):
             getattr(self, field.name)[at] = getattr(other, field.name)
@@ -79,30 +79,32 @@ class MachineFits:
 
     def search(
         self, which: Indices, seed: Sequence[int], progress: Callable[[int], object], few: int = 0
-    ) -> Found:
+    ) -> Optima:
         """Optima of some datasets; `few` descents are enough if all of them end in one optimum."""
         few = few or min(MANY, FEW + self._nonlinear)
-        found = self._fit(which, self._brackets(seed, FIRST), few, False, progress)
-        rest = np.flatnonzero(~found.flags[:, EVIDENT])
+        optima = self._fit(which, self._brackets(seed, FIRST), few, False, progress)
+        rest = np.flatnonzero(~optima.flags[:, EVIDENT])
         if rest.size:
             brackets = self._brackets(seed, BRACKETS)
-            found.put(rest, self._fit(which[rest], brackets, few, False, progress))
-        return found
+            optima.put(rest, self._fit(which[rest], brackets, few, False, progress))
+        return optima
 
     def descend(
         self, which: Indices, starts: Array, progress: Callable[[int], object] = lambda _: None
-    ) -> Found:
+    ) -> Optima:
         """Best ends of descents from all starts: (M, s, d) for each dataset, or (1, s, d)."""
         return self._fit(which, starts, 1, True, progress)
 
-    def covariance(self, found: Found) -> Array:
+    def covariance(self, optima: Optima) -> Array:
         """Covariance (M, d, d); computed with NumPy where derivatives are nearly dependent."""
-        singular = np.flatnonzero(found.flags[:, SINGULAR])
+        singular = np.flatnonzero(optima.flags[:, SINGULAR])
         if singular.size:
-            ends = Ends(found.thetas[singular], found.squares[singular], found.converged[singular])
+            ends = Ends(
+                optima.thetas[singular], optima.squares[singular], optima.converged[singular]
+            )
             batch = Batch.of(self.model, self.space, self.datasets, singular)
-            found.covariance[singular] = batch.covariance(ends)
-        return found.covariance
+            optima.covariance[singular] = batch.covariance(ends)
+        return optima.covariance
 
     def _brackets(self, seed: Sequence[int], count: int) -> Array:
         """Starts (count, size, d) of the first brackets, in units."""
@@ -117,7 +119,7 @@ class MachineFits:
 
     def _fit(
         self, which: Indices, starts: Array, few: int, own: bool, progress: Callable[[int], object]
-    ) -> Found:
+    ) -> Optima:
         n, d = len(which), len(self.space)
         thetas, squares = np.empty((n, d)), np.empty(n)
         covariance, flags = np.empty((n, d, d)), np.zeros((n, 3), dtype=bool)
@@ -131,7 +133,7 @@ class MachineFits:
                 np.ascontiguousarray(which[part], dtype=np.int64),
                 thetas[part], squares[part], covariance[part], flags[part],
             )  # fmt: skip
-        return Found(thetas, squares, flags[:, CONVERGED].copy(), covariance, flags)
+        return Optima(thetas, squares, flags[:, CONVERGED].copy(), covariance, flags)
 
     @cached_property
     def _given(self) -> tuple[Any, ...]:
@@ -155,21 +157,21 @@ class MachineFits:
         return [k for k, name in enumerate(self.space.names) if name in names]
 
 
-def checked(fits: MachineFits, found: Found, which: Indices, seed: int, better: float) -> Indices:
+def checked(fits: MachineFits, optima: Optima, which: Indices, seed: int, better: float) -> Indices:
     """Search some datasets again with different brackets, until the rule of evidence is met.
 
     They also descend from the optima of the other checked datasets. Returns the datasets whose sum
-    of squares decreased by more than the share `better`, after their results in `found` are
+    of squares decreased by more than the share `better`, after their results in `optima` are
     replaced.
     """
     again = fits.search(which, (seed, 1), lambda _: None, few=BRACKETS)
-    ends = found.thetas[which[np.isfinite(found.squares[which])]]
+    ends = optima.thetas[which[np.isfinite(optima.squares[which])]]
     if len(ends):
         others = fits.descend(which, ends[None])
         lower = np.flatnonzero(others.squares < again.squares)
         again.put(lower, others.some(lower))
     zero = ROUNDING**2 * np.array([np.sum(fits.datasets.output(k) ** 2) for k in which])
-    least = (1 - better) * found.squares[which] - zero
+    least = (1 - better) * optima.squares[which] - zero
     lower = np.flatnonzero(again.squares < least)
-    found.put(which[lower], again.some(lower))
+    optima.put(which[lower], again.some(lower))
     return which[lower]

@@ -120,8 +120,8 @@ def fit_many(
     named = space.names if isinstance(space, Space) else tuple(space)
     first, chosen, _ = data_of(model, *parts.part(0), None, {*named, *names})
     starts = None if start is None else {name: np.ravel(value) for name, value in start.items()}
-    one = None if starts is None else {name: _middle(value) for name, value in starts.items()}
-    bounds = constrained(space_of(chosen, space, one, fixed or {}, tied or {}), constraints)
+    middle = None if starts is None else {name: _middle(value) for name, value in starts.items()}
+    bounds = constrained(space_of(chosen, space, middle, fixed or {}, tied or {}), constraints)
     problem = CurveFit(chosen, first, bounds, compiled=False)
     taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
     clash = sorted(taken.intersection(bounds.names))
@@ -141,17 +141,17 @@ def fit_many(
     fits = MachineFits.of(problem.model, problem.space, datasets)
     progress = _Progress(len(datasets))
     if fits is not None:
-        ends, covariance, found = _by_machine(fits, thetas, seed, progress)
+        ends, covariance, counts = _by_machine(fits, thetas, seed, progress)
     else:
         batch = Batch.of(problem.model, problem.space, datasets, np.arange(len(datasets)))
-        ends, covariance, found = _by_numpy(batch, thetas, search, seed, progress)
+        ends, covariance, counts = _by_numpy(batch, thetas, search, seed, progress)
     if not np.isfinite(ends.squares).any():
         raise ValueError(f"{title(problem)}: no finite value was found")
     table = _table(problem, datasets.rows, ends, covariance, pd.Index(parts.keys, name=by))
-    table.attrs.update(found)
-    if found["better"]:
+    table.attrs.update(counts)
+    if counts["better"]:
         warnings.warn(
-            f"{found['better']} of {found['checked']} datasets that were searched longer have a "
+            f"{counts['better']} of {counts['checked']} datasets that were searched longer have a "
             "better optimum than their descent found, and others may have one; narrow the bounds",
             UserWarning,
             stacklevel=2,
@@ -169,12 +169,12 @@ def _by_machine(
     """Fits of a formula, from starts (1 or M, d) if they are given."""
     everyone = np.arange(len(fits.datasets))
     if starts is not None:
-        found = fits.descend(everyone, starts[:, None, :], progress)
-        return found, fits.covariance(found), {"checked": 0, "better": 0}
-    found = fits.search(everyone, (seed, 0), progress)
+        ends = fits.descend(everyone, starts[:, None, :], progress)
+        return ends, fits.covariance(ends), {"checked": 0, "better": 0}
+    optima = fits.search(everyone, (seed, 0), progress)
     which = _to_check(len(everyone), seed)
-    better = checked(fits, found, which, seed, BETTER)
-    return found, fits.covariance(found), {"checked": len(which), "better": len(better)}
+    better = checked(fits, optima, which, seed, BETTER)
+    return optima, fits.covariance(optima), {"checked": len(which), "better": len(better)}
 
 
 def _by_numpy(

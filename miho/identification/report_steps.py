@@ -339,8 +339,8 @@ def _profiles(
     if at.events or at.noise <= rounding_of(problem):
         return curves, []
     possible: dict[str, int | str] = {}
-    for one in optima:
-        possible |= _profiled_parameters(problem, one)
+    for optimum in optima:
+        possible |= _profiled_parameters(problem, optimum)
     names = list(possible) if (by_default if requested is None else requested) else []
     limit = None if requested else work.deadline
     if work.pool is not None:

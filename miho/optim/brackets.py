@@ -130,8 +130,8 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
     others right, and the missing one is near such a start.
     """
     redrawn = rng.random(starts.shape) < 0.5
-    one = rng.integers(starts.shape[1], size=len(starts))
-    redrawn[np.arange(len(starts)), one] = True
+    always = rng.integers(starts.shape[1], size=len(starts))
+    redrawn[np.arange(len(starts)), always] = True
     return np.where(redrawn, starts, best)
 
 

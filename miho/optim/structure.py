@@ -77,11 +77,9 @@ def has_structure(inputs: Sequence[Array], residuals: Array, order: Order | None
         return False
     tests = [_along(share, order, z) for share, order in zip(shares, orders, strict=True)]
     tests += [_across(a, b, z) for a, b in combinations(shares, 2)]
-    windows = [window for found, _ in tests for window in found]
+    windows = [window for of_test, _ in tests for window in of_test]
     lines = [line for _, line in tests]
-    return any(
-        min(found) <= math.log(LEVEL / 2 / len(found)) for found in (windows, lines) if found
-    )
+    return any(min(logs) <= math.log(LEVEL / 2 / len(logs)) for logs in (windows, lines) if logs)
 
 
 def _standardised(residuals: Array, orders: Sequence[Order]) -> Array:

@@ -162,29 +162,29 @@ def _size(values: Array) -> Array:
     return np.asarray(np.square(values.reshape(len(values), -1)).sum(axis=1))
 
 
-def _gap(one: Value, other: Value, typical: float = 0.0) -> float:
+def _gap(value: Value, other: Value, typical: float = 0.0) -> float:
     """Largest difference of two values, relative to the largest number in them; 0 if equal.
 
     The scale is at least `typical`.
     """
-    if isinstance(one, Raised) or isinstance(other, Raised):
-        same = isinstance(one, Raised) and isinstance(other, Raised) and one.name == other.name
+    if isinstance(value, Raised) or isinstance(other, Raised):
+        same = isinstance(value, Raised) and isinstance(other, Raised) and value.name == other.name
         return 0.0 if same else math.inf
-    if one.shape != other.shape:
+    if value.shape != other.shape:
         return math.inf
-    different = _differ(one, other)
+    different = _differ(value, other)
     if not different.any():
         return 0.0
-    if not (np.isfinite(one) & np.isfinite(other))[different].all():
+    if not (np.isfinite(value) & np.isfinite(other))[different].all():
         return math.inf
-    finite = np.concatenate([one[np.isfinite(one)], other[np.isfinite(other)]])
+    finite = np.concatenate([value[np.isfinite(value)], other[np.isfinite(other)]])
     size = np.abs(finite).max(initial=typical)
-    return float((np.abs(one[different] - other[different]) / size).max())
+    return float((np.abs(value[different] - other[different]) / size).max())
 
 
-def _differ(one: Array, other: Array) -> NDArray[np.bool_]:
+def _differ(values: Array, other: Array) -> NDArray[np.bool_]:
     """Mask of the numbers that differ between two arrays; two NaN are equal."""
-    return np.asarray((one != other) & ~(np.isnan(one) & np.isnan(other)))
+    return np.asarray((values != other) & ~(np.isnan(values) & np.isnan(other)))
 
 
 def _words(before: Value, after: Value) -> tuple[str, str]:

@@ -79,15 +79,15 @@ class Usage:
         """One line: who made the evaluations, how long each takes, and why no worker made any."""
         known = [f"{self.known:,} evaluations known from before"] if self.known else []
         each = "" if self.each is None else f", {span(self.each)} each"
-        made = []
+        now = []
         if self.evaluations:
             busy = f"busy {min(self.efficiency or 0.0, 1.0):.0%} of the time"
-            one = self.workers == 1
-            who, verb = ("a worker", "was") if one else (f"{self.workers} workers", "were")
-            made = [f"{self.evaluations:,} evaluations by {who}{each}, which {verb} {busy}"]
+            single = self.workers == 1
+            who, verb = ("a worker", "was") if single else (f"{self.workers} workers", "were")
+            now = [f"{self.evaluations:,} evaluations by {who}{each}, which {verb} {busy}"]
         elif self.here or not known:
-            made = [f"evaluations made here{each}{self._why_here}"]
-        return "; ".join(known + made)
+            now = [f"evaluations made here{each}{self._why_here}"]
+        return "; ".join(known + now)
 
     @property
     def _why_here(self) -> str:

@@ -14,7 +14,7 @@ import pytest
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.core import machine
 from miho.fitting.datasets import Datasets
-from miho.fitting.machine_fits import Found, MachineFits
+from miho.fitting.machine_fits import MachineFits, Optima
 from miho.models import FunctionModel
 
 pytestmark = pytest.mark.skipif(machine() is None, reason="built without a C compiler")
@@ -55,7 +55,7 @@ def datasets(rows: Any = EVERYONE) -> Datasets:
     return Datasets.checked(t[None], y[rows].ravel(), np.arange(len(rows) + 1) * N)
 
 
-def bits(found: Found, at: Any = slice(None)) -> bytes:
+def bits(found: Optima, at: Any = slice(None)) -> bytes:
     parts = found.thetas, found.squares, found.converged, found.covariance, found.flags
     return b"".join(np.ascontiguousarray(part[at]).tobytes() for part in parts)
 
