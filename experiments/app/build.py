@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -238,10 +238,7 @@ def _in_order(space: Space, model: Model) -> Space:
 
     A stored run does not keep the order of a mapping.
     """
-    places = {name: place for place, name in enumerate(model.parameters)}
-    last = len(places)
-    inside = sorted(space.parameters, key=lambda p: (places.get(p.name, last), p.name))
-    return replace(space, parameters=tuple(inside))
+    return space.in_order(sorted(space.names)).in_order(model.parameters)
 
 
 def _joint(config: Mapping[str, Any]) -> Joint:

@@ -103,14 +103,12 @@ def _usable(problem: CurveFit, model_name: str) -> Array | None:
                 return None
             continue
         long = is_expensive(time.perf_counter() - started)
-        own = any(
-            isinstance(leaf, FunctionModel | ExternalModel) for leaf in expensive_leaves(model)
-        )
-        if own and long and actual != (1, len(problem.dataset)):
-            raise ValueError(
-                f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
-            )
-        return None if own and long else theta
+        kinds, expected = FunctionModel | ExternalModel, (1, len(problem.dataset))
+        if not (long and any(isinstance(leaf, kinds) for leaf in expensive_leaves(model))):
+            return theta
+        if actual != expected:
+            raise ValueError(f"{model_name}.predict gives shape {actual}; expected {expected}")
+        return None
     raise failures[0]
 
 
@@ -235,14 +233,11 @@ def _shares(count: int) -> Array:
 
 def with_defaults(space: Space, model: Model) -> Space:
     """The space with missing parameters fixed at the defaults of the model."""
-    known = {parameter.name: parameter for parameter in space.parameters}
-    if not any(name not in known for name in model.defaults):
+    defaults = {name: at for name, at in model.defaults.items() if name not in space.names}
+    if not defaults:
         return space
-    lacking = {n: Parameter(n, model.parameters[n], fixed=v) for n, v in model.defaults.items()}
-    whole = lacking | known
-    order = [n for n in model.parameters if n in whole]
-    extra = [n for n in known if n not in model.parameters]
-    return replace(space, parameters=tuple(whole[n] for n in (*order, *extra)))
+    fixed = [Parameter(name, model.parameters[name], fixed=at) for name, at in defaults.items()]
+    return replace(space, parameters=(*space.parameters, *fixed)).in_order(model.parameters)
 
 
 def ties_of(model: Model, space: Space) -> Ties:
@@ -255,8 +250,7 @@ def ties_of(model: Model, space: Space) -> Ties:
     from miho.models.tied import Ties
 
     name = model.name or type(model).__name__
-    parameters = {parameter.name: parameter for parameter in space.parameters}
-    if [p for p in parameters if p in model.parameters] != list(model.parameters):
+    if [n for n in space.names if n in model.parameters] != list(model.parameters):
         raise ValueError(_space_mismatch(name, list(model.parameters), space.names))
     for parameter in space.parameters:
         needed = model.parameters.get(parameter.name, "")
@@ -271,12 +265,12 @@ def ties_of(model: Model, space: Space) -> Ties:
                 f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix; "
                 "write it into the expressions"
             )
-    fixed = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
+    values = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters}
     limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
     ties = Ties(
         tuple(model.parameters),
         {p.name: p.unit for p in space.free.parameters},
-        {key: value for key, value in fixed.items() if value is not None},
+        {key: value for key, value in values.items() if value is not None},
         {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
         {p.name: p.unit for p in space.parameters if p.tied and p.name not in model.parameters},
         space.radial,
@@ -356,13 +350,9 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
             f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}), "
             "whatever its parameters; remove the row or correct the model"
         )
-    if model.linear and not _linear_by_graph(model):
+    by_formula = isinstance(model, FunctionFormula) and not model.function.linear
+    if model.linear and not by_formula:
         _check_linear(problem, model_name, thetas)
-
-
-def _linear_by_graph(model: Model) -> bool:
-    """Whether `linear` was told from a function's formula, which needs no check."""
-    return isinstance(model, FunctionFormula) and not model.function.linear
 
 
 def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:

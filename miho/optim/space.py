@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -236,6 +237,12 @@ class Space:
                 "leave one free"
             )
         return replace(self, parameters=free)
+
+    def in_order(self, names: Iterable[str]) -> Space:
+        """The same parameters: first those with these names, in their order, then the others."""
+        places = {name: place for place, name in enumerate(names)}
+        ordered = sorted(self.parameters, key=lambda p: places.get(p.name, len(places)))
+        return replace(self, parameters=tuple(ordered))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
