@@ -10,23 +10,26 @@ centre instead (`miho.radial_map`).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
-from miho.models.formula_text import written
-from miho.models.symbolic import Symbol, argument, constant, gradient
-from miho.models.tied import LONGEST, Ties, parsed
+from miho.identification.constraint_text import (
+    EXAMPLE,
+    Constraint,
+    Ends,
+    Form,
+    form_text,
+    share_of_range,
+    stated_in,
+)
+from miho.models.tied import LONGEST, Ties
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.radial_map import RadialMap
 
-RELATION = re.compile(r"(<=|>=|==|<|>|=)")
-EXAMPLE = "expected linear relations, for example 'a < b < c', 'a + b = 1' or 'b - a < 5'"
 THIN = 1e-9
 """A set narrower than this share of the box in some direction is empty; an inequality that removes
 less than this is redundant."""
@@ -34,35 +37,6 @@ SMALL = 1e-12
 """A coefficient below this share of the largest is rounding."""
 MOST = 500
 """Largest number of inequalities for the elimination: the time grows with their cube."""
-
-
-class Form(NamedTuple):
-    """The linear form coefficients (d,) @ theta + offset."""
-
-    coefficients: Array
-    offset: float
-
-    def minus(self, other: Form) -> Form:
-        """The difference."""
-        return Form(self.coefficients - other.coefficients, self.offset - other.offset)
-
-    def solved_for(self, k: int) -> Form:
-        """The form that parameter k equals if this form is 0."""
-        others = self.coefficients.copy()
-        others[k] = 0.0
-        return Form(-others / self.coefficients[k], -self.offset / self.coefficients[k])
-
-
-class Constraint(NamedTuple):
-    """A form that is at least 0, or exactly 0 if `equal`; `text` is the user's constraint."""
-
-    form: Form
-    equal: bool
-    text: str
-
-
-Ends = tuple[list[Form], list[Form]]
-"""Lower and upper bounds of a parameter, as forms."""
 
 
 def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
@@ -90,14 +64,16 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
     if not isinstance(constraints, str | Sequence):
         raise ValueError(f"constraints: {EXAMPLE}; got {constraints!r}")
     texts = [constraints] if isinstance(constraints, str) else list(constraints)
-    stated = [constraint for text in texts for constraint in _stated(space, text)]
+    stated = [constraint for text in texts for constraint in stated_in(space, text)]
     if not stated:
         return space
     polytope = _Polytope(space, stated)
     centre = polytope.centre()
     begin = polytope.means(centre)
     equations, sides = polytope.solved()
-    changed = {k: [_tied(space.parameters[k], _text(e, space.names))] for k, e in equations.items()}
+    changed = {
+        k: [_tied(space.parameters[k], form_text(e, space.names))] for k, e in equations.items()
+    }
     radial = None
     try:
         ends = polytope.eliminated(equations, sides)
@@ -140,45 +116,6 @@ def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
             theta[k] = np.log(value / low) / np.log(high / low) if log else (
                 (value - low) / (high - low))  # fmt: skip
     return theta
-
-
-def _stated(space: Space, text: str) -> list[Constraint]:
-    """The constraints in one chain."""
-    parts = RELATION.split(text) if isinstance(text, str) else []
-    if len(parts) < 3 or not all(part.strip() for part in parts):
-        raise ValueError(f"constraints: {EXAMPLE}; got {text!r}")
-    forms = [_form(space, part.strip()) for part in parts[::2]]
-    stated = []
-    for left, relation, right in zip(forms, parts[1::2], forms[1:], strict=False):
-        form = left.minus(right) if relation in (">", ">=") else right.minus(left)
-        if not form.coefficients.any():
-            raise ValueError(
-                f"constraints: {text!r} has a part without free parameters; remove that part"
-            )
-        stated.append(Constraint(form, relation in ("=", "=="), text))
-    return stated
-
-
-def _form(space: Space, text: str) -> Form:
-    """An expression as a linear form of the free parameters."""
-    places = [f"p{k}" for k in range(len(space))]
-    symbols: dict[str, Symbol] = {}
-    for place, parameter in zip(places, space.parameters, strict=True):
-        fixed = parameter.fixed
-        symbols[parameter.name] = argument(place) if fixed is None else constant(fixed)
-    graph = parsed(text, "constraints", symbols, symbols.__getitem__)
-    slopes = [slope.number for slope in gradient(graph, [argument(place) for place in places])]
-    if None in slopes or not np.isfinite(np.array(slopes, dtype=float)).all():
-        raise ValueError(f"constraints: {text!r} is not linear; tie a parameter to others instead")
-    coefficients = np.array(slopes, dtype=float)
-    for k in np.flatnonzero(coefficients):
-        if space.parameters[k].tied is not None:
-            raise ValueError(
-                f"constraints: {text!r} has {space.names[k]}, which is tied to "
-                f"{space.parameters[k].tied!r}; write that expression instead"
-            )
-    value = written("value", {"theta": places}, [graph], single=True)
-    return Form(coefficients, float(value((0.0,) * len(space))))
 
 
 class _TooLongError(Exception):
@@ -283,7 +220,7 @@ class _Polytope:
             lower = [side.solved_for(k) for side in sides if side.coefficients[k] > 0]
             upper = [side.solved_for(k) for side in sides if side.coefficients[k] < 0]
             ends[k] = lower, upper
-            if len(_expression(self._space.parameters[k], ends[k], names, "")) > LONGEST:
+            if len(share_of_range(self._space.parameters[k], ends[k], names, "")) > LONGEST:
                 raise _TooLongError
             sides = [side for side in sides if side.coefficients[k] == 0]
             sides += [self._clean(high.minus(low)) for low in lower for high in upper]
@@ -376,7 +313,7 @@ def _between(
         inside = mean is None or low <= mean <= high
         return [replace(parameter, low=float(low), high=float(high), mean=mean if inside else None)]
     name = _share_name(parameter, taken)
-    expression = _expression(parameter, ends, names, name)
+    expression = share_of_range(parameter, ends, names, name)
     mean = std = None
     width = np.log(high / low) if log else high - low
     if width > 0 and not (log and parameter.mean is None):
@@ -392,42 +329,3 @@ def _share_name(parameter: Parameter, taken: set[str]) -> str:
     while name in taken:
         name += "_"
     return name
-
-
-def _expression(parameter: Parameter, ends: Ends, names: Sequence[str], share: str) -> str:
-    """The expression of a parameter as a share of its range."""
-    lower, upper = ends
-    first, last = _extreme("max", lower, names), _extreme("min", upper, names)
-    if parameter.scale == "log":
-        return f"{_grouped(first)} * ({_grouped(last)} / {_grouped(first)}) ** {share}"
-    width = f"{last} - {_grouped(first)}" if first != "0" else last
-    if len(lower) == len(upper) == 1:
-        width = _text(upper[0].minus(lower[0]), names)
-    expression = f"{_grouped(width)} * {share}"
-    return f"{first} + {expression}" if first != "0" else expression
-
-
-def _extreme(function: str, forms: Sequence[Form], names: Sequence[str]) -> str:
-    """The maximum or minimum of forms, as an expression."""
-    text = _text(forms[0], names)
-    for form in forms[1:]:
-        text = f"{function}({text}, {_text(form, names)})"
-    return text
-
-
-def _grouped(text: str) -> str:
-    """An expression in parentheses, unless it is one name or number."""
-    return text if re.fullmatch(r"[\w.]+", text) else f"({text})"
-
-
-def _text(form: Form, names: Sequence[str]) -> str:
-    """A form as an expression, with positive terms first."""
-    terms = [(float(a), name) for a, name in zip(form.coefficients, names, strict=True) if a]
-    if form.offset or not terms:
-        terms.append((float(form.offset), ""))
-    text = ""
-    for number, name in sorted(terms, key=lambda term: (term[0] < 0, not term[1])):
-        size = f"{abs(number):.15g}"
-        body = size if not name else name if size == "1" else f"{size} * {name}"
-        text += f" {'-' if number < 0 else '+'} {body}" if text else "-" * (number < 0) + body
-    return text
