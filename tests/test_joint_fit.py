@@ -15,7 +15,7 @@ from miho import Part
 from miho.core import machine
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import optimal_design
-from miho.identification.uncertainty import series_of
+from miho.identification.dependence import series_of
 from miho.models.expression import Expression
 from miho.models.joint import JointExpression, JointModel, parts_of
 from miho.models.layout import PART

@@ -415,8 +415,8 @@ class Fit(Remade):
 
     def _printed(self) -> tuple[str, list[str]]:
         """The table of parameters as text, and the lines below it, of any length."""
+        from miho.identification.dependence import alike_beside_priors
         from miho.identification.stated import at_limits, marked
-        from miho.identification.uncertainty import alike_beside_priors
 
         table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
         rows = len(self.problem.dataset)

@@ -10,8 +10,9 @@ import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.dependence import events_of
 from miho.identification.refit import refit
-from miho.identification.uncertainty import Linearised, events_of
+from miho.identification.uncertainty import Linearised
 from miho.optim.space import Space
 from miho.parallel.blocks import in_blocks
 from miho.parallel.pool import Pool

@@ -12,14 +12,16 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.dependence import EVENT, alike_beside_priors
 from miho.identification.loss import Cauchy, Huber
-from miho.identification.uncertainty import EVENT, alike_beside_priors, parameters_at_bounds
+from miho.identification.uncertainty import parameters_at_bounds
 from miho.optim.space import Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
+    from miho.identification.dependence import Dependence
     from miho.identification.profile_likelihood import Profile
-    from miho.identification.uncertainty import Dependence, Linearised
+    from miho.identification.uncertainty import Linearised
     from miho.models.derived import Derived
 
 REMEDY = "search from more starts, or in a narrower or logarithmic box."
@@ -226,14 +228,14 @@ def profile_shapes(
 
 def spread_is_uneven(problem: CurveFit, at: Linearised) -> bool:
     """Whether the spread of the errors changes along the data enough to change a standard error."""
-    ratios = _sandwich_ratios(at)
+    ratios = at.sandwich_ratios
     changed = bool((np.abs(ratios - 1) > UNEVEN).any())
     return changed and _chance_of_spread(problem, at) <= CHANCE
 
 
 def uneven_spread(at: Linearised, space: Space) -> list[str]:
     """A sentence on the intervals that are too wide or too narrow because of an uneven spread."""
-    ratios, sentences = _sandwich_ratios(at), []
+    ratios, sentences = at.sandwich_ratios, []
     for kind, off in (("wide", ratios < 1 - UNEVEN), ("narrow", ratios > 1 + UNEVEN)):
         those = [f"{space.names[i]} (times {ratios[i]:.2f})" for i in np.flatnonzero(off)]
         if those:
@@ -243,13 +245,6 @@ def uneven_spread(at: Linearised, space: Space) -> list[str]:
         f"intervals assume a constant one: they are {' and '.join(sentences)}. Prefer the sandwich "
         "intervals, which remain valid, or the bootstrap."
     ]
-
-
-def _sandwich_ratios(at: Linearised) -> Array:
-    """Ratios (d,) of sandwich to usual standard errors; NaN without a usual one."""
-    errors = at.standard_errors
-    usable = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
-    return np.asarray(np.sqrt(np.diag(at.sandwich)) / usable)
 
 
 def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:

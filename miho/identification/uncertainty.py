@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,63 +9,17 @@ import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 from numpy.typing import NDArray
 
-from miho.data.dataset import Dataset
-from miho.identification.autocorrelation import (
-    Autoregression,
-    Likeness,
-    autoregression,
-    degrees_of_freedom,
-    likeness,
-)
 from miho.identification.curve_fit import CurveFit
+from miho.identification.dependence import Dependence, dependent, events_of, series_of
 from miho.identification.inverse_root import INVOLVED, inverse_root
-from miho.models.layout import OUTPUT, PART
 from miho.optim.space import Space
 from miho.quantities import Array
 
-EVENT = "event"
-"""A column of this name numbers events, for example brakings, whose rows are not independent."""
-FEWEST_EVENTS = 3
 AT_BOUND = 1e-10
 """A parameter is at a bound if it is this close, as a fraction of its range: descents reach bounds
 up to rounding, and the range of a parameter without bounds is a million times its start."""
-RESEMBLING = 0.1
-"""Errors of neighbouring rows are dependent if their correlation exceeds this ..."""
-SCORE = 2.33
-"""... and exceeds this number of standard deviations for independent errors, which has a chance of
-1 %."""
 ALONE = 1e-8
 """A row alone determines its prediction if at most this fraction of its error is left."""
-
-
-@dataclass(frozen=True, eq=False)
-class Dependence:
-    """The dependence of errors on the errors of neighbouring rows, in the order of the data.
-
-    Parameters
-    ----------
-    correlation : float
-        Correlation of consecutive errors, corrected for the correlation that a fit causes.
-    model : Autoregression
-        The model of the errors, which gives the covariance.
-    sides : ndarray of shape (2 p, d, d)
-        Covariances for models one standard error away from `model` on either side.
-    errors : ndarray of shape (N,)
-        The errors, after the influence function of a robust loss.
-    independent : Linearised
-        The uncertainty for independent rows.
-    """
-
-    correlation: float
-    model: Autoregression
-    sides: Array
-    errors: Array
-    independent: Linearised
-
-    def freedom(self, gradients: Array) -> Array:
-        """Degrees of freedom (n,) of quantities with these gradients (n, d) in the parameters."""
-        variances = np.einsum("ij,sjk,ik->si", gradients, self.sides, gradients)
-        return degrees_of_freedom(variances, self.independent.freedom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +133,13 @@ class Linearised:
         errors[self.at_bound] = np.nan
         return np.asarray(errors)
 
+    @property
+    def sandwich_ratios(self) -> Array:
+        """Ratios (d,) of sandwich to usual standard errors; NaN without a usual one."""
+        errors = self.standard_errors
+        usable = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
+        return np.asarray(np.sqrt(np.diag(self.sandwich)) / usable)
+
     @cached_property
     def correlation(self) -> Array:
         """Correlation (d, d) of the estimates; NaN without a finite positive standard error."""
@@ -288,7 +247,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     )
     if not neighbours or events or problem.prior is not None:
         return at
-    return _dependent(at, psi / stiffness, root.basis, root.half, series_of(problem))
+    return dependent(at, psi / stiffness, root.basis, root.half, series_of(problem))
 
 
 def _errors_and_slopes(problem: CurveFit, theta: Array) -> tuple[Array, Array]:
@@ -344,87 +303,6 @@ def _spread(problem: CurveFit, basis: Array, errors: Array, noise: float) -> tup
         rows = len(problem.dataset)
         spread[rows:] = basis[rows:] * problem.prior.scale
     return spread, 0
-
-
-def _dependent(
-    at: Linearised, errors: Array, basis: Array, half: Array, series: Sequence[slice]
-) -> Linearised:
-    """The uncertainty for errors (N,) that depend on neighbouring rows, if they are correlated.
-
-    The orthonormal `basis` (N, r) spans the derivatives, and `half` (d, r) maps sums of errors
-    times the basis to changes of the parameters. Rows are neighbours within a `series`.
-    """
-    alike = likeness(errors, basis, series)
-    if not _resemble(alike) or not basis.shape[1]:
-        return at
-    model, sides = autoregression(errors, basis, series)
-    few_rows = errors.size / at.freedom
-
-    def covariance(model: Autoregression, squares: Array | None = None) -> Array:
-        # At least the covariance of independent rows, even if the errors oscillate.
-        rows = np.full(errors.size, at.noise**2) if squares is None else errors**2 * few_rows
-        least = (basis.T * rows) @ basis
-        sums = model.variance_of_sums(basis, squares, series)
-        excess, axes = np.linalg.eigh(sums - least)
-        total = least + axes * np.maximum(excess, 0.0) @ axes.T
-        return np.asarray(half @ total @ half.T)
-
-    # White's estimate of the innovations, with the factor for few rows; the first rows have none.
-    squares = np.full(errors.size, model.variance)
-    for own in series:
-        squares[own][model.partial.size :] = model.innovations(errors[own]) ** 2 * few_rows
-    dependence = Dependence(
-        correlation=alike.correlation,
-        model=model,
-        sides=np.array([covariance(side) for side in sides]),
-        errors=errors,
-        independent=at,
-    )
-    freedom = dependence.freedom(np.eye(at.theta.size)[np.isfinite(at.standard_errors)])
-    return replace(
-        at,
-        covariance=covariance(model),
-        sandwich=covariance(model, squares),
-        freedom=int(freedom.min(initial=at.freedom)),
-        dependence=dependence,
-    )
-
-
-def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
-    """The significant correlation of neighbouring errors that priors exclude from the model; or 0.
-
-    The result is 0 without priors, or if the data number events.
-    """
-    if problem.prior is None or events_of(problem.dataset) is not None:
-        return 0.0
-    basis = np.linalg.qr(problem.error_slopes(theta))[0]
-    errors = problem.errors(theta)
-    # Remove the part of the errors that the parameters would fit without the priors.
-    alike = likeness(errors - basis @ (basis.T @ errors), basis, series_of(problem))
-    return alike.correlation if _resemble(alike) else 0.0
-
-
-def _resemble(alike: Likeness) -> bool:
-    return alike.correlation > RESEMBLING and alike.score > SCORE
-
-
-def series_of(problem: CurveFit) -> list[slice]:
-    """The series of consecutive rows: one for each part or output."""
-    inputs = problem.model.inputs
-    columns = [problem.dataset[name] for name in (PART, OUTPUT) if name in inputs]
-    moved = np.zeros(len(problem.dataset) - 1, dtype=bool)
-    for column in columns:
-        moved |= np.diff(column) != 0
-    ends = (np.flatnonzero(moved) + 1).tolist()
-    return [slice(a, b) for a, b in itertools.pairwise([0, *ends, len(problem.dataset)])]
-
-
-def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
-    """The event of each row (N,), from 0, if the data number enough events; else None."""
-    if EVENT not in dataset.columns:
-        return None
-    events, index = np.unique(dataset[EVENT], return_inverse=True)
-    return np.asarray(index) if events.size >= FEWEST_EVENTS else None
 
 
 def parameters_at_bounds(at: Linearised, space: Space) -> list[tuple[str, str, str]]:
