@@ -436,9 +436,7 @@ class Fit(Remade):
         size += f"{alike * self._dependent}{narrow * priors}"
         # The caveats explain an optimum in doubt.
         limits = " ".join(f"{limit}." for limit in at_limits(self.problem, self.theta))
-        known = (
-            limits if self._conclusion.doubt else self.optimum.replace(" Estimated", "\nEstimated")
-        )
+        known = limits if self._conclusion.doubt else self.optimum.replace(". ", ".\n")
         caveats = (f"- {sentence}" for sentence in self.caveats)
         lines = "\n".join(filter(None, [size, known, *caveats])).split("\n")
         return table, lines

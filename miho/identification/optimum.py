@@ -14,6 +14,7 @@ from miho.identification.conclusion import Conclusion, conclusion_from, kind_of,
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.irreducible import irreducible_of
+from miho.identification.periodic import REMARK, searches_period
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
 from miho.optim.zero import is_rounding, is_zero
@@ -97,7 +98,10 @@ def conclusion_on(
         )
     elif at is not None and at.unidentifiable.any():
         objections.append(lost_effect(at, problem.space, _never_identifiable(problem)))
-    return _with(conclusion, *filter(None, objections))
+    conclusion = _with(conclusion, *filter(None, objections))
+    if conclusion.doubt or conclusion.certain or not searches_period(problem):
+        return conclusion
+    return Conclusion(f"{conclusion.evidence}. {REMARK}")
 
 
 def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:

@@ -441,7 +441,7 @@ class Report:
             f"intervals of {100 * self.level:g} %"
         ]
         if not self.conclusion.doubt:  # a doubt is the first note
-            lines += self.conclusion.statement.replace(" Estimated", "\nEstimated").split("\n")
+            lines += self.conclusion.statement.replace(". ", ".\n").split("\n")
         lines += [f"- {note}" for note in self.notes]
         return "\n\n".join([*parts, "\n".join(map(wrapped, lines))])
 
