@@ -96,6 +96,7 @@ class Peer(Running):
         self.y = np.full((len(setup.theta), len(setup.system.outputs)), np.nan)
         self._last = self.y
         self._skips_repeats = skips_repeats
+        self._steps = None if setup.steps is None else setup.steps.anew()
 
     @abstractmethod
     def drift(self, seconds: Array) -> None:
@@ -142,6 +143,8 @@ class Peer(Running):
         """Take one or several rows of a single run, and return the state after the last of them."""
         started = time.perf_counter()
         alarm = None
+        if self._steps is not None:
+            rows = self._steps.take(rows)
         for now, x, y in self.setup.rows(rows):
             if self.advance(np.array([now]), x[None], y[None])[0]:
                 alarm = self.watch.alarm

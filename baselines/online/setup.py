@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from miho.data import Dataset
 from miho.online.method import Problems, Rows
+from miho.online.motion import StepRows, is_motion, one_step
 from miho.online.outputs import TIME, System, system_of
 from miho.online.prior import start_of
 from miho.online.slopes import RowFormula, TapedFormula, row_formula
@@ -73,6 +74,8 @@ class Setup:
         Inputs of a row of the offline data.
     period : float
         Time between rows without a column "time" [s].
+    steps : StepRows or None
+        The steps between rows of a differential equation.
     """
 
     system: System
@@ -85,6 +88,7 @@ class Setup:
     largest_slopes: Array
     example: Array
     period: float
+    steps: StepRows | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -196,7 +200,12 @@ def setup_of(
     Setup
         The task, with S = 1.
     """
+    steps = None
+    if is_motion(problem):
+        steps, problem = StepRows.of_problem(problem), one_step(problem)
     system = system_of(problem)
+    if steps is not None and input_noise is None:
+        input_noise = steps.noise(system.sigma)
     noise = {name: sigma for name, sigma in (input_noise or {}).items() if sigma > 0}
     columns = (*noise, *(name for name in system.inputs if name not in noise))
     theta, covariance = start_of(system, prior)
@@ -212,7 +221,7 @@ def setup_of(
     deviations = np.array(list(noise.values()), dtype=float)
     return Setup(
         system, row_formula(system, columns, deviations), columns, deviations, theta[None],
-        covariance[None], sizes[None], slopes[None], example[None], float(period),
+        covariance[None], sizes[None], slopes[None], example[None], float(period), steps,
     )  # fmt: skip
 
 

@@ -16,7 +16,8 @@ from typing import Any, TextIO
 import numpy as np
 
 from baselines.online import Stream
-from miho.data import Dataset
+from miho.online.outputs import TIME
+from miho.quantities import Array
 from miho.validate import positive, whole
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -96,11 +97,11 @@ class Socket(Source):
 
 
 class Replay(Source):
-    """The rows of a dataset in their order.
+    """Recorded rows in their order.
 
     Parameters
     ----------
-    dataset : Dataset
+    columns : mapping of str to ndarray, shape (N,)
         The rows, with a column `time` [s] or with the time `period` between them.
     period : float
         Time between two rows [s].
@@ -108,21 +109,23 @@ class Replay(Source):
         Seconds of the rows per second of the replay; by default as fast as possible.
     """
 
-    def __init__(self, dataset: Dataset, period: float, rate: float | None = None) -> None:
+    def __init__(
+        self, columns: Mapping[str, Array], period: float, rate: float | None = None
+    ) -> None:
         if rate is not None:
             positive("stream.rate", rate)
-        self.columns = {name: np.asarray(column) for name, column in dataset.columns.items()}
-        self.columns.setdefault("time", np.asarray(period * np.arange(len(dataset)), dtype=float))
+        rows = next(iter(columns.values())).size
+        self.columns = {TIME: np.asarray(period * np.arange(rows), dtype=float), **columns}
         self.rate = rate
 
     def rows(self) -> Iterator[Mapping[str, float]]:
         """Yield the rows at the rate."""
         names, began = tuple(self.columns), time.monotonic()
-        first = float(self.columns["time"][0])
+        first = float(self.columns[TIME][0])
         for values in zip(*(column.tolist() for column in self.columns.values()), strict=True):
             row = dict(zip(names, values, strict=True))
             if self.rate is not None:
-                due = began + (row["time"] - first) / self.rate
+                due = began + (row[TIME] - first) / self.rate
                 time.sleep(max(due - time.monotonic(), 0.0))
             yield row
 

@@ -16,54 +16,65 @@ from experiments.app.build import ConfigError, build_problem
 from experiments.app.instantiation import instantiate
 from experiments.online.session import ROWS, STATES, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, Synthetic
-from miho.data import Dataset
 from miho.fitting.search import searched
 from miho.identification import CurveFit, Report
 from miho.online import OnlineMethod, Running
+from miho.online.method import Problems
+from miho.online.motion import StepRows, is_motion, measured_motion
+from miho.online.outputs import TIME
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)
 class Task:
     """All that a method needs to start, and the source of its rows."""
 
-    problems: Sequence[CurveFit]
+    problem: Problems
     prior: Report | Mapping[str, tuple[float, float]]
     changes: Mapping[str, float] | None
-    input_noise: Mapping[str, float]
+    input_noise: Mapping[str, float] | None
     source: Source
     stream: Stream | None = None
+    steps: StepRows | None = None
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each parameter."""
-        return {p.name: p.unit for problem in self.problems for p in problem.space.parameters}
+        return {p.name: p.unit for problem in self._each for p in problem.space.parameters}
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Inputs and outputs of all problems."""
-        names = [n for p in self.problems for n in (*p.model.inputs, p.dataset.output)]
+        """Inputs and outputs of all problems; states and inputs of a differential equation."""
+        if self.steps is not None:
+            return self.steps.names
+        names = [n for p in self._each for n in (*p.model.inputs, p.dataset.output)]
         return tuple(dict.fromkeys(names))
+
+    @property
+    def _each(self) -> Sequence[CurveFit]:
+        return [self.problem] if isinstance(self.problem, CurveFit) else self.problem
 
 
 def task_of(cfg: DictConfig) -> Task:
     """Return the problem, the prior and the source that a configuration describes."""
     node = _node(cfg, "stream")
     stated = {str(k): float(v) for k, v in cfg.online.changes.items()} or None
-    noise = {str(k): float(v) for k, v in cfg.online.input_noise.items()}
+    noise = {str(k): float(v) for k, v in cfg.online.input_noise.items()} or None
     if "_target_" in node:
         stream = instantiate(node, "stream", Stream)
         return Task(
             stream.problem, stream.prior, stated or stream.changes,
             noise or stream.input_noise, Synthetic(stream), stream,
         )  # fmt: skip
-    problem = build_problem(cfg)
-    kind, later = node.get("source"), problem.dataset
+    problem = later = build_problem(cfg)
+    steps, kind = _steps(problem), node.get("source")
     if kind == "replay" and cfg.online.learn is not None:
-        problem, later = _split(problem, cfg.online.learn, cfg.online.period)
+        clock = TIME if steps is None else steps.time
+        problem, later = _split(problem, clock, cfg.online.learn, cfg.online.period)
     sources: dict[str, Callable[[], Source]] = {
         "stdin": Lines,
         "socket": lambda: Socket(node.get("host", "127.0.0.1"), node.get("port", 0)),
-        "replay": lambda: Replay(later, cfg.online.period, node.get("rate")),
+        "replay": lambda: Replay(_rows(later, steps), cfg.online.period, node.get("rate")),
     }
     if kind not in sources:
         raise ConfigError(f"stream.source: is {kind!r}; expected {', '.join(sources)}")
@@ -72,23 +83,42 @@ def task_of(cfg: DictConfig) -> Task:
         problem = replace(problem, sigma=report.at.noise)
     print(f"offline data: {len(problem.dataset):,} rows of {problem.dataset.name}", file=sys.stderr)
     try:
-        return Task((problem,), report, stated, noise, sources[kind]())
+        return Task(problem, report, stated, noise, sources[kind](), None, steps)
     except ValueError as error:
         raise ConfigError(str(error)) from None
 
 
-def _split(problem: CurveFit, learn: float, period: float) -> tuple[CurveFit, Dataset]:
-    """Return the problem on the rows before a time [s], and the data of the later rows."""
+def _steps(problem: CurveFit) -> StepRows | None:
+    """The steps between rows of a differential equation; None for another model."""
+    try:
+        return StepRows.of_problem(problem) if is_motion(problem) else None
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+
+
+def _rows(problem: CurveFit, steps: StepRows | None) -> Mapping[str, Array]:
+    """The measurements of a problem by column, one row for each time of a differential equation."""
+    if steps is None:
+        return problem.dataset.columns
+    columns = measured_motion(problem)
+    return {TIME: columns.pop(steps.time), **columns}
+
+
+def _split(problem: CurveFit, clock: str, learn: float, period: float) -> tuple[CurveFit, CurveFit]:
+    """Return the problem on the rows before a time [s], and on the later rows."""
     data = problem.dataset
-    times = data.columns.get("time", period * np.arange(len(data)))
-    first = times - times[0] < learn
+    times = data.columns.get(clock, period * np.arange(len(data)))
+    times = times - times.min()
+    first = times < learn
     if not 0 < np.count_nonzero(first) < len(data):
         raise ConfigError(
-            f"online.learn: is {learn:g} s; expected less than the {times[-1] - times[0]:g} s of "
+            f"online.learn: is {learn:g} s; expected less than the {times.max():g} s of "
             f"{data.name}, and more than 0"
         )
     try:
-        return replace(problem, dataset=data.select(first)), data.select(~first)
+        return replace(problem, dataset=data.select(first)), replace(
+            problem, dataset=data.select(~first)
+        )
     except ValueError as error:
         raise ConfigError(f"online.learn: {error}") from None
 
@@ -104,7 +134,7 @@ def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
         raise ConfigError(f"online.resume: {root / ROWS} is missing; expected it of a session")
     try:
         running = method.start(
-            task.problems, task.prior, task.changes, task.input_noise, cfg.online.period
+            task.problem, task.prior, task.changes, task.input_noise, cfg.online.period
         )
         if cfg.online.resume:
             replay(running, root / ROWS)

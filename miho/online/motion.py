@@ -74,7 +74,7 @@ def one_step(problem: CurveFit) -> tuple[CurveFit, ...]:
     1.809675
     """
     trajectory = _trajectory(problem)
-    rows = StepRows.of_problem(problem).take(_measured(problem))
+    rows = StepRows.of_problem(problem).take(measured_motion(problem))
     complete = np.isfinite(list(rows.values())).all(axis=0)
     scales = dict(zip(trajectory.outputs, trajectory.equations.scales, strict=True))
     sigma = problem.scale
@@ -201,6 +201,10 @@ class StepRows:
         """Return the same, without the last row."""
         return replace(self)
 
+    def noise(self, sigma: Array) -> dict[str, float]:
+        """Return the noise of the states by name; `sigma` is the noise of each one step later."""
+        return dict(zip(self.names, sigma.tolist(), strict=False))
+
     def take(self, rows: Rows) -> dict[str, Array]:
         """Return the steps that end in these rows, by column; a step may begin in the last row."""
         columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
@@ -260,8 +264,8 @@ def _trajectory(problem: CurveFit) -> Trajectory:
     return trajectory
 
 
-def _measured(problem: CurveFit) -> dict[str, Array]:
-    """Time, inputs and states by column; NaN if a state was not measured at a time."""
+def measured_motion(problem: CurveFit) -> dict[str, Array]:
+    """Return time, inputs and states by column; NaN if a state was not measured at a time."""
     trajectory, data = _trajectory(problem), problem.dataset
     equations = trajectory.equations
     t, first = np.unique(data[trajectory.time], return_index=True)

@@ -200,7 +200,7 @@ class Tracker(Running):
             self._steps, problem = StepRows.of_problem(problem), one_step(problem)
         self.system = system_of(problem, noise)
         if self._steps is not None and input_noise is None:
-            input_noise = dict(zip(self._steps.names, self.system.sigma, strict=False))
+            input_noise = self._steps.noise(self.system.sigma)
         deviations = _noise_of(self.system, input_noise or {})
         # Inputs with noise come first.
         self.columns = (*deviations, *(n for n in self.system.inputs if n not in deviations))
@@ -258,9 +258,11 @@ class Tracker(Running):
                 population["since"] = population["row"] - 1
                 self._informative.clear()
             self._informative.note(row, population["gain"], population["clock"])
-        if estimate is not None:
-            self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
-        return self.state
+        if estimate is None:  # a motion starts
+            self._state = replace(self.state, alarm=None)
+            return self._state
+        self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
+        return self._state
 
     @property
     def change(self) -> Alarm | None:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,17 @@ import pytest
 
 import miho
 from baselines.online import tire
+from experiments.app.build import ConfigError
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from experiments.online.comparison import score
 from experiments.online.results import write_session
 from experiments.online.session import Session, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
+from experiments.online.task import Task, begun, task_of
 from miho.models import FunctionModel
 from miho.online import Tracker
+from miho.vehicle.data.synthetic_drive import DRIVE_TRUTH
 
 N = 60
 
@@ -155,14 +161,15 @@ def test_a_missing_column_is_unknown() -> None:
 def test_a_dataset_without_times_is_replayed_by_its_period() -> None:
     """The time rises by the period."""
     data = miho.Dataset("d", {"x": np.ones(3), "y": np.ones(3)}, {"x": "", "y": ""}, "y")
-    assert [row["time"] for row in Replay(data, 0.1).rows()] == pytest.approx([0.0, 0.1, 0.2])
+    rows = Replay(data.columns, 0.1).rows()
+    assert [row["time"] for row in rows] == pytest.approx([0.0, 0.1, 0.2])
 
 
 def test_a_source_refuses_a_wrong_rate_and_port() -> None:
     """Before a row is read."""
     data = miho.Dataset("d", {"x": np.ones(3), "y": np.ones(3)}, {"x": "", "y": ""}, "y")
     with pytest.raises(ValueError, match=r"stream.rate is 0; expected a positive number"):
-        Replay(data, 0.1, rate=0)
+        Replay(data.columns, 0.1, rate=0)
     with pytest.raises(ValueError, match=r"stream.port is 99999; expected a whole number"):
         Socket(port=99_999)
 
@@ -210,6 +217,60 @@ def test_a_client_that_goes_in_the_middle_of_a_line_does_not_end_the_session(
     source.server.close()
     server.join(timeout=20)
     assert not server.is_alive()
+
+
+DRIVE = ["dataset=lively_drive", "dataset.duration=4.0", "online.changes={D_f: 0.35, D_r: 0.35}"]
+
+
+@pytest.fixture(scope="module")
+def drive() -> Task:
+    """A drive with three outputs, the first 2 s of which are the offline data."""
+    register()
+    return task_of(composed([*DRIVE, "stream=replay", "online.learn=2.0"]))
+
+
+@pytest.mark.parametrize("tracker", ["miho", "ekf"])
+def test_the_log_of_a_differential_equation_is_replayed(
+    drive: Task, tracker: str, tmp_path: Path
+) -> None:
+    """Each time is a row with all outputs; the first one begins the motion."""
+    cfg = composed([*DRIVE, f"tracker={tracker}"])
+    session = Session(begun(cfg, tmp_path, drive), drive.columns, tmp_path, quiet=True)
+    session.run(drive.source)
+    assert drive.columns == ("vx", "vy", "yaw_rate", "ax", "steering")
+    assert session.bad == 0
+    assert session.last is not None
+    assert session.last.rows == 99
+    assert session.last.time == pytest.approx(3.98)
+    for name in ("D_f", "D_r"):
+        assert session.last.values[name] == pytest.approx(DRIVE_TRUTH[name], rel=0.1)
+    assert len((tmp_path / "states.csv").read_text().splitlines()) == 101
+    paths = write_session(tmp_path, session.running, [], [], "a drive", drive.units)
+    assert tmp_path / "report.html" in paths
+
+
+def test_lines_of_a_differential_equation_are_answered_one_by_one(
+    drive: Task, tmp_path: Path
+) -> None:
+    """A row is known by the name of the model's time or by "time"; a null is no step."""
+    assert isinstance(drive.source, Replay)
+    rows: list[dict[str, float | None]] = [{**row} for row in islice(drive.source.rows(), 10)]
+    rows[1]["t"] = rows[1].pop("time")
+    rows[6]["vx"] = None
+    del rows[8]["time"]
+    source = Answered("\n".join(map(json.dumps, rows)) + "\n")
+    running = begun(composed(DRIVE), tmp_path, drive)
+    Session(running, drive.columns, tmp_path).run(source)
+    assert [answer.get("row") for answer in source.answers] == [0, 1, 2, 3, 4, 5, 6, 7, None, 8]
+    assert source.answers[0]["time"] is None
+    assert "no column 't'" in str(source.answers[8]["error"])
+
+
+def test_the_task_of_an_unmeasured_state_is_refused() -> None:
+    """Before the search of the offline data."""
+    register()
+    with pytest.raises(ConfigError, match=r"the state 'vy' of .* is not measured; expected all"):
+        task_of(composed(["dataset=steering_test", "stream=replay"]))
 
 
 CLIENT = r"""
