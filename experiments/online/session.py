@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -126,9 +129,18 @@ def in_words(alarm: Alarm, words: Mapping[str, str]) -> str:
 
 def replay(running: Running, path: Path) -> None:
     """Update the method with the rows of an earlier session, as that session did."""
-    with path.open(encoding="utf-8") as file:
+    with path.open(encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
             try:
                 running.update(json.loads(line))
             except (ValueError, TypeError) as error:
                 raise ValueError(f"{path}, line {number}: {error}") from None
+
+
+def repair(path: Path) -> None:
+    """Remove a last line without an end, which a session that was killed leaves, with a notice."""
+    with path.open("rb") as file:
+        last = b"".join(deque(file, maxlen=1))
+    if last and not last.endswith(b"\n"):
+        os.truncate(path, path.stat().st_size - len(last))
+        print(f"{path}: the last line is cut off and was removed", file=sys.stderr)

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from baselines.online import Stream
 from experiments.app.build import ConfigError, build_problem
 from experiments.app.instantiation import instantiate
-from experiments.online.session import ROWS, STATES, replay
+from experiments.online.session import ROWS, STATES, repair, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, Synthetic
 from miho.fitting.search import searched
 from miho.identification import CurveFit, Report
@@ -137,6 +137,8 @@ def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
             task.problem, task.prior, task.changes, task.input_noise, cfg.online.period
         )
         if cfg.online.resume:
+            for path in earlier:
+                repair(path)
             replay(running, root / ROWS)
             return running
         for path in earlier:

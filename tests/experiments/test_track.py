@@ -26,7 +26,7 @@ from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.online.comparison import score
 from experiments.online.results import write_session
-from experiments.online.session import Session, replay
+from experiments.online.session import Session, repair, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
 from experiments.online.task import Task, begun, task_of
 from miho.models import FunctionModel
@@ -107,6 +107,26 @@ def test_a_session_can_be_resumed_to_the_last_bit(tmp_path: Path) -> None:
     assert isinstance(again, Tracker)
     assert again.state.theta.tolist() == whole.state.theta.tolist()
     assert len((tmp_path / "states.csv").read_text().splitlines()) == N + 1
+
+
+def test_a_line_that_is_cut_off_is_removed_and_damage_has_a_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only a last line without an end is of a session that was killed."""
+    file = tmp_path / "rows.jsonl"
+    lines = [json.dumps(row) + "\n" for row in rows(4)]
+    file.write_text("".join(lines)[:-9])
+    repair(file)
+    assert "the last line is cut off and was removed" in capsys.readouterr().err
+    assert file.read_text() == "".join(lines[:3])
+    repair(file)
+    assert not capsys.readouterr().err
+    running = tracker()
+    replay(running, file)
+    assert running.state.rows == 3
+    file.write_bytes(lines[0].encode() + b"\xff\0\n" + lines[2].encode())
+    with pytest.raises(ValueError, match=r"rows.jsonl, line 2: Expecting value"):
+        replay(tracker(), file)
 
 
 def test_the_delay_of_a_score_is_relative_to_the_new_value(tmp_path: Path) -> None:
