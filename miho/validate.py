@@ -19,6 +19,12 @@ def at_least(field: str, value: float, low: float) -> None:
         raise ValueError(f"{field} is {value!r}; expected a number of at least {low:g}")
 
 
+def number_or_infinity(field: str, value: float) -> None:
+    """Raise ValueError unless `value` is a finite number or positive infinity."""
+    if not _is_number(value) and value != math.inf:
+        raise ValueError(f"{field} is {value!r}; expected a number, or inf for never")
+
+
 def whole(field: str, value: int, low: int, high: int | None = None) -> None:
     """Raise ValueError unless `value` is an integer of at least `low` and at most `high`."""
     if not _is_whole(value) or value < low or (high is not None and value > high):

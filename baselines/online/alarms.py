@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from miho.online import Alarm
 from miho.quantities import Array
+from miho.validate import number_or_infinity
 
 if TYPE_CHECKING:
     from baselines.online.peer import Peer
@@ -39,6 +40,9 @@ class Detector(ABC):
 
     threshold: float = math.inf
     hold: float = 10.0
+
+    def __post_init__(self) -> None:
+        number_or_infinity("threshold", self.threshold)
 
     @abstractmethod
     def watch(self, setup: Setup) -> Watch:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data import Dataset
-from miho.online.method import Problems, Rows
+from miho.online.method import Problems, Rows, numbers_of
 from miho.online.motion import StepRows, is_motion, one_step
 from miho.online.outputs import TIME, System, system_of
 from miho.online.prior import start_of
@@ -132,7 +132,8 @@ class Setup:
         if all(isinstance(value, float) for value in values):
             table = np.array([values])
         else:
-            table = np.stack(np.broadcast_arrays(*np.atleast_1d(*values)), 1).astype(float)
+            each = [numbers_of(name, value) for name, value in zip(names, values, strict=True)]
+            table = np.stack(np.broadcast_arrays(*each), 1)
         for row in table:
             yield float(row[0]), row[1:p], row[p:]
 

@@ -6,9 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
 from miho.online.state import TrackerState
+from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.identification.report import Report
@@ -18,6 +21,34 @@ Problems = CurveFit | Sequence[CurveFit]
 
 Rows = Dataset | Mapping[str, Any]
 """Columns by name: numbers for one row, array_like for several."""
+
+
+def numbers_of(name: str, column: Any) -> Array:
+    """Return the numbers (n,) of a column of rows; a masked value is NaN.
+
+    Parameters
+    ----------
+    name : str
+        Name of the column.
+    column : array_like
+        A number, or one for each row.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The numbers.
+
+    Raises
+    ------
+    ValueError
+        If the column is not of numbers.
+    """
+    try:
+        if isinstance(column, np.ma.MaskedArray):
+            column = np.where(np.ma.getmaskarray(column), np.nan, np.ma.getdata(column))
+        return np.atleast_1d(np.asarray(column, dtype=float))
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"rows: column {name!r} is {column!r:.60}; expected numbers") from None
 
 
 class Running(ABC):
@@ -30,7 +61,8 @@ class Running(ABC):
         Parameters
         ----------
         rows : Dataset or mapping of str
-            Columns by name: numbers for one row, arrays for several; NaN for a missing value.
+            Columns by name: numbers for one row, arrays for several; NaN or masked for a missing
+            value.
 
         Returns
         -------

@@ -18,7 +18,7 @@ from miho.models.symbolic import Symbol, trace
 from miho.models.tied import Tied, tie
 from miho.models.traced import TracedExpression
 from miho.models.trajectory import Trajectory
-from miho.online.method import Rows
+from miho.online.method import Rows, numbers_of
 from miho.online.outputs import TIME
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -217,7 +217,7 @@ class StepRows:
                     f"rows: no column {name!r}; expected {', '.join(needed)}, and NaN for a "
                     "missing value"
                 )
-        block = np.column_stack([np.atleast_1d(np.asarray(columns[n], float)) for n in needed])
+        block = np.column_stack([numbers_of(name, columns[name]) for name in needed])
         block = np.vstack([self._last, block])
         self._last = block[-1:]
         step = np.diff(block[:, 0])

@@ -17,7 +17,7 @@ from miho.identification.report import Report
 from miho.models.identified import Identified
 from miho.online.calibration import Calibration, calibration, fitted_to
 from miho.online.informative import InformativeRows
-from miho.online.method import OnlineMethod, Problems, Rows, Running
+from miho.online.method import OnlineMethod, Problems, Rows, Running, numbers_of
 from miho.online.motion import StepRows, is_motion, one_step
 from miho.online.outputs import TIME, Output, System, system_of
 from miho.online.population import Layout, Population, Rules
@@ -26,7 +26,7 @@ from miho.online.prior import place_of, start_of
 from miho.online.slopes import row_formula
 from miho.online.state import Alarm, Change, TrackerState, alarm_of
 from miho.quantities import Array
-from miho.validate import at_least, between_0_and_1, positive, whole
+from miho.validate import at_least, between_0_and_1, number_or_infinity, positive, whole
 
 JUMP = 0.35
 """Share of its value by which a parameter may jump, unless `changes` says otherwise."""
@@ -103,6 +103,7 @@ class TrackerSettings(OnlineMethod):
         for name in ("width", "near", "use", "smooth", "gap", "cap"):
             positive(name, getattr(self, name))
         at_least("hold", self.hold, 0.0)
+        number_or_infinity("threshold", self.threshold)
         whole("repeats", self.repeats, 1)
         whole("every", self.every, 1)
         whole("kept", self.kept, 1)
@@ -232,8 +233,8 @@ class Tracker(Running):
         ----------
         rows : Dataset or mapping of str
             Columns by name: numbers for one row, arrays for several. The inputs and outputs of
-            the problem are needed, NaN for a missing value; "time" [s] is optional. With a
-            `Trajectory`, the time, states and inputs of consecutive rows are needed.
+            the problem are needed, NaN or masked for a missing value; "time" [s] is optional.
+            With a `Trajectory`, the time, states and inputs of consecutive rows are needed.
 
         Returns
         -------
@@ -387,13 +388,13 @@ class Tracker(Running):
         except (TypeError, IndexError):
             kind = type(rows).__name__
             raise ValueError(f"rows is a {kind}; expected a Dataset, or columns by name") from None
-        if isinstance(numbers[0], float | int):
-            numbers.append(columns.get(TIME, first))
-            with contextlib.suppress(TypeError, ValueError):
-                return np.array([numbers], dtype=float)
-        values = [_column(name, column) for name, column in zip(self._names, numbers, strict=False)]
+        single = [*numbers, columns.get(TIME, first)]
+        if all(isinstance(number, float | int) for number in single):
+            with contextlib.suppress(OverflowError):
+                return np.array([single], dtype=float)
+        values = [numbers_of(*pair) for pair in zip(self._names, numbers, strict=True)]
         count = values[0].size
-        values.append(_column(TIME, columns.get(TIME, first + self.period * np.arange(count))))
+        values.append(numbers_of(TIME, columns.get(TIME, first + self.period * np.arange(count))))
         for name, column in zip([*self._names, TIME], values, strict=True):
             if column.shape != (count,):
                 raise ValueError(
@@ -418,14 +419,6 @@ class Tracker(Running):
             scale=self._scale,
             bounds=self._bounds,
         )
-
-
-def _column(name: str, column: Any) -> Array:
-    """The numbers (n,) of a column."""
-    try:
-        return np.atleast_1d(np.asarray(column, dtype=float))
-    except (TypeError, ValueError):
-        raise ValueError(f"rows: column {name!r} is {column!r:.60}; expected numbers") from None
 
 
 def _settings(settings: Mapping[str, Any]) -> TrackerSettings:

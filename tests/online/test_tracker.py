@@ -222,6 +222,20 @@ def test_several_rows_are_rows_one_by_one() -> None:
     assert state.rows == 700
 
 
+def test_a_masked_value_is_missing() -> None:
+    columns, masked = tire(), tire()
+    for name, first in (("slip", 50), ("y", 60)):
+        hidden = np.arange(ROWS) // 5 == first // 5
+        masked[name] = np.ma.array(columns[name] + 9.0 * hidden, mask=hidden)
+        columns[name] = np.where(hidden, np.nan, columns[name])
+    expected = tracker().update(columns)
+    single, together = tracker(), tracker()
+    for k in range(ROWS):
+        single.update({name: column[k] for name, column in masked.items()})
+    assert together.update(masked).theta.tobytes() == expected.theta.tobytes()
+    assert single.state.theta.tobytes() == expected.theta.tobytes()
+
+
 def test_a_dataset_is_rows_too() -> None:
     columns = tire()
     data = Dataset("log", columns, dict.fromkeys(columns, ""), "y")
@@ -437,6 +451,7 @@ def test_a_state_is_printed_in_one_line() -> None:
         ({"hazard": 0.0}, "hazard is 0.0; expected a number between 0 and 1"),
         ({"drifts": (1.0, 2.0)}, "drifts is .*; expected three numbers"),
         ({"slots": 3}, "slots is 3; expected a whole number of at least 4"),
+        ({"threshold": float("nan")}, "threshold is nan; expected a number, or inf for never"),
         ({"period": 0.0}, "period is 0.0; expected a positive number"),
     ],
 )
