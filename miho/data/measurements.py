@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -47,6 +47,37 @@ ZERO_IN_SOME_TESTS = frozenset({"alpha", "gamma", "kappa"})
 """Inputs that a test may keep at zero: such a column is refused only if it fits another unit."""
 FRICTION = 5.0
 """Upper bound of the largest force over the largest load, for any tire and surface."""
+
+
+def check_columns(
+    columns: Sequence[str], units: Sequence[str], headers: Sequence[str], flip: Sequence[str]
+) -> None:
+    """Refuse columns of a file without a name, a unit and a header each, and unknown units.
+
+    Raises ValueError with the setting and its value.
+    """
+    settings = {"columns": columns, "units": units, "headers": headers, "flip": flip}
+    for setting, names in settings.items():
+        listed = isinstance(names, Sequence) and not isinstance(names, str)
+        if not (listed and all(isinstance(name, str) for name in names)):
+            raise ValueError(f"{setting} is {names!r}; give a list of names")
+        if setting != "units" and len(set(names)) != len(names):
+            raise ValueError(f"{setting} is {list(names)}; name each once")
+    if not columns or not len(columns) == len(units) == len(headers):
+        raise ValueError(
+            f"{len(columns)} columns, {len(units)} units and {len(headers)} headers; give one unit "
+            "per column, and one header per column or none"
+        )
+    check_names("flip", flip, columns)
+    for unit in units:
+        si(unit)
+
+
+def check_names(setting: str, names: Iterable[str], columns: Sequence[str]) -> None:
+    """Raise ValueError if a setting names something that is not a column."""
+    for name in names:
+        if name not in columns:
+            raise ValueError(f"{setting} names {name!r}; columns are {', '.join(columns)}")
 
 
 @dataclass(frozen=True)
@@ -98,20 +129,7 @@ class Layout:
     every: int = 1
 
     def __post_init__(self) -> None:
-        # Names are unique, with one unit and one header per column.
-        for setting in ("columns", "units", "flip", "headers"):
-            names = getattr(self, setting)
-            listed = isinstance(names, Sequence) and not isinstance(names, str)
-            if names is not None and not (listed and all(isinstance(name, str) for name in names)):
-                raise ValueError(f"{setting} is {names!r}; give a list of names")
-            if setting != "units" and listed and len(set(names)) != len(names):
-                raise ValueError(f"{setting} is {list(names)}; name each once")
-        counts = {len(self.columns), len(self.units), len(self.names)}
-        if len(counts) != 1 or not self.columns:
-            raise ValueError(
-                f"{len(self.columns)} columns, {len(self.units)} units and {len(self.names)} "
-                "headers; give one unit per column, and one header per column or none"
-            )
+        check_columns(self.columns, self.units, self.names, self.flip)
         if self.convention not in FLIPPED:
             raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
         whole("every", self.every, 1)
@@ -123,22 +141,15 @@ class Layout:
                     "for example {Fz: [3900, 4100]}"
                 )
         settings = {
-            "output": [self.output], "flip": self.flip, "ranges": self.ranges or {},
-            "held_out": self.held_out or {},
+            "output": [self.output], "ranges": self.ranges or {}, "held_out": self.held_out or {},
         }  # fmt: skip
         for setting, names in settings.items():
-            for name in names:
-                if name not in self.columns:
-                    raise ValueError(
-                        f"{setting} names {name!r}; columns are {', '.join(self.columns)}"
-                    )
+            check_names(setting, names, self.columns)
         for name, bounds in (self.ranges or {}).items():
             if bounds is not None:
                 number_pair(bounds, f"the range of {name}")
         for name, bounds in (self.where or {}).items():
             number_pair(bounds, f"where {name}")
-        for unit in self.units:
-            si(unit)
 
     @property
     def names(self) -> Sequence[str]:

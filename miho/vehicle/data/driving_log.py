@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from miho.data.csv import PLAIN, CSVError, TextFormat, TextTable
 from miho.data.dataset import file_name
+from miho.data.measurements import check_columns, check_names
 from miho.data.preview import Reading
 from miho.data.units import si
 from miho.quantities import Array, g
@@ -314,11 +315,8 @@ def _check_channels(
     delays: Mapping[str, float],
 ) -> None:
     """Refuse unknown channels, wrong units and a missing time."""
-    if not len(columns) == len(units) == len(headers):
-        raise ValueError(
-            f"{len(columns)} columns, {len(units)} units and {len(headers)} headers; give one unit "
-            "and one header per column"
-        )
+    check_columns(columns, units, headers, flip)
+    check_names("delays", delays, columns)
     for channel, unit in zip(columns, units, strict=True):
         if channel not in CHANNELS:
             raise ValueError(f"column {channel!r} is unknown; known are {', '.join(CHANNELS)}")
@@ -326,12 +324,10 @@ def _check_channels(
             raise ValueError(
                 f"column {channel!r} has unit {unit!r}; expected one of {CHANNELS[channel]}"
             )
-    for setting, channels in (("flip", flip), ("delays", delays)):
-        for channel in channels:
-            if channel not in columns or channel == "time":
-                raise ValueError(f"{setting}: {channel!r} is not one of the channels read")
-    if "time" not in columns or len(set(columns)) != len(columns):
-        raise ValueError(f"columns are {', '.join(columns)}; expected 'time' and none twice")
+    if "time" not in columns:
+        raise ValueError(f"columns are {', '.join(columns)}; expected 'time' among them")
+    if "time" in {*flip, *delays}:
+        raise ValueError("flip and delays: 'time' cannot be flipped or delayed; leave it out")
 
 
 def _refuse_gaps(path: Path, time: Array, lines: NDArray[np.intp]) -> None:
