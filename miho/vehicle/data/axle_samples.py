@@ -43,42 +43,7 @@ def axle_samples(
     min_speed: float = 10.0,
     max_ax: float | None = None,
 ) -> Dataset:
-    """Slip angle and lateral force of an axle, in ISO-W signs.
-
-    The slip angle follows from vx, vy, yaw_rate and steering. The force follows from the balances
-    of lateral force and yaw moment, with ay (v_y' + v_x r if it is not logged) and the derivative
-    of yaw_rate. All channels pass the same `low_pass`, so that force and slip angle stay in phase.
-    The force is the sum of both tires at their actual loads and includes aerodynamics and slip
-    ratio, so vx and ax are kept as conditions.
-
-    vy must be measured. If it is integrated from ay - v_x r, it drifts with every bias and bank,
-    and the filter or tire model that limits the drift would distort the identified tire.
-
-    Parameters
-    ----------
-    log : DrivingLog
-        The log.
-    car : SingleTrack
-        The car.
-    axle : {'front', 'rear'}
-        The axle.
-    cutoff : float
-        Cutoff of the low pass [Hz]. The first and last 1 / cutoff [s] are dropped.
-    min_speed : float
-        Samples with vx below this are dropped [m/s].
-    max_ax : float, optional
-        Samples with a larger magnitude of ax are dropped [m/s^2].
-
-    Returns
-    -------
-    Dataset
-        Columns alpha [rad], vx [m/s], ax [m/s^2] and the output Fy [N].
-
-    Raises
-    ------
-    ValueError
-        If no sample is left, or a sign or a unit of the log must be wrong.
-    """
+    """Slip angle and lateral force of an axle of a log; see `load_axle_samples`."""
     if axle not in ("front", "rear"):
         raise ValueError(f"axle is {axle!r}; expected 'front' or 'rear'")
     # Slip angles and forces of both axles, from equally filtered channels.
@@ -204,10 +169,16 @@ def load_axle_samples(
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
 ) -> Dataset:
-    """Load `axle_samples` from a driving log in a CSV file.
+    """Load slip angle and lateral force of an axle from a driving log, in ISO-W signs.
 
-    The slip angle follows from vx, vy, yaw_rate and steering, the force from the balances of
-    lateral force and yaw moment.
+    The slip angle follows from vx, vy, yaw_rate and steering. The force follows from the balances
+    of lateral force and yaw moment, with ay (v_y' + v_x r if it is not logged) and the derivative
+    of yaw_rate. All channels pass the same `low_pass`, so that force and slip angle stay in phase.
+    The force is the sum of both tires at their actual loads and includes aerodynamics and slip
+    ratio, so vx and ax are kept as conditions.
+
+    vy must be measured. If it is integrated from ay - v_x r, it drifts with every bias and bank,
+    and the filter or tire model that limits the drift would distort the identified tire.
 
     Parameters
     ----------
@@ -240,7 +211,7 @@ def load_axle_samples(
     CSVError
         For a fault in the file, including gaps and times that do not increase.
     ValueError
-        For an invalid setting, or if no sample is left.
+        For an invalid setting, if no sample is left, or if a sign or a unit must be wrong.
     """
     car = from_settings(SingleTrack, vehicle)
     log = load_driving_log(

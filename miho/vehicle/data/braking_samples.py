@@ -24,49 +24,7 @@ def braking_samples(
     max_lateral: float = 3.0,
     settle: float = 0.0,
 ) -> Dataset:
-    """Braking phases of a log, as data for `BrakeDeceleration`.
-
-    Deceleration is -ax or, if ax is not logged, -v_x' + v_y r (-v_x' alone without vy or yaw_rate),
-    minus the effect of a logged grade. Some loggers' ax lags by a second or is a commanded value:
-    compare it with the speed before using it.
-
-    Deceleration, pressure and squared speed pass the same `low_pass`, so that a law that is linear
-    in them also holds for the filtered values, as long as the filter covers nothing but braking.
-    Near the ends of a phase it also covers driving, so the first and last 1 / cutoff [s] of each
-    phase are dropped, and shorter phases entirely. A higher cutoff keeps more samples of short
-    phases, and more noise.
-
-    Parameters
-    ----------
-    log : DrivingLog
-        A log with the channels vx, brake and throttle.
-    cutoff : float
-        Cutoff of the low pass [Hz].
-    min_pressure : float
-        Pressure above which the car is braking [Pa].
-    min_speed : float
-        Speed above which samples are used [m/s].
-    max_throttle : float
-        Largest throttle while braking [-].
-    max_lateral : float
-        Samples with larger |v_x r| are dropped [m/s^2] if yaw_rate is logged, because steered
-        wheels drag.
-    settle : float
-        Time dropped at the beginning of each phase [s], for a commanded pressure that takes longer
-        to build up.
-
-    Returns
-    -------
-    Dataset
-        Columns p [Pa], vx [m/s], the output deceleration [m/s^2] (positive), t [s] and event [-].
-        `event` numbers the phases, including phases without samples: errors within one phase are
-        far from independent.
-
-    Raises
-    ------
-    ValueError
-        If no sample is left.
-    """
+    """Braking phases of a log, as data for `BrakeDeceleration`; see `load_braking_samples`."""
     if not settle >= 0:
         raise ValueError(f"settle is {settle}; expected a number of seconds of at least 0")
     grade = g * np.sin(log.angle("grade", cutoff))
@@ -120,7 +78,16 @@ def load_braking_samples(
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
 ) -> Dataset:
-    """Load `braking_samples` from a driving log in a CSV file.
+    """Load the braking phases of a driving log in a CSV file, as data for `BrakeDeceleration`.
+
+    Deceleration is -ax or, if ax is not logged, -v_x' + v_y r (-v_x' alone without vy or yaw_rate),
+    minus the effect of a logged grade. Some loggers' ax lags by a second or is a commanded value:
+    compare it with the speed before using it.
+
+    Deceleration, pressure and squared speed pass the same `low_pass`, so that a law that is linear
+    in them also holds for the filtered values, as long as the filter covers nothing but braking.
+    Near the ends of a phase it also covers driving. A higher cutoff keeps more samples of short
+    phases, and more noise.
 
     Parameters
     ----------
@@ -149,8 +116,9 @@ def load_braking_samples(
     Returns
     -------
     Dataset
-        Columns p [Pa], vx [m/s], the output deceleration [m/s^2] (positive), t [s] and event [-],
-        the number of the phase.
+        Columns p [Pa], vx [m/s], the output deceleration [m/s^2] (positive), t [s] and event [-].
+        `event` numbers the phases, including phases without samples: errors within one phase are
+        far from independent.
 
     Raises
     ------

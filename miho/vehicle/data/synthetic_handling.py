@@ -75,9 +75,9 @@ def simulated_axle_drive(
     seed: int = 0,
     cutoff: float = 5.0,
 ) -> Dataset:
-    """`axle_samples` of `simulated_weave`, named `front_axle_drive` or `rear_axle_drive`.
+    """Slip angle and lateral force of an axle in `simulated_weave`.
 
-    The true parameters are in `AXLES`.
+    The name is the axle and "_axle_drive". The true parameters are in `AXLES`.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def simulated_axle_drive(
     noise, seed
         See `simulated_weave`.
     cutoff : float
-        See `axle_samples`.
+        See `load_axle_samples`.
 
     Returns
     -------
     Dataset
-        See `axle_samples`.
+        See `load_axle_samples`.
     """
     car = from_settings(SingleTrack, vehicle)
     data = axle_samples(simulated_weave(car, noise, seed), car, axle, cutoff)
