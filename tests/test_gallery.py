@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from experiments.app.gallery_fmu import missing_for_fmu
 from experiments.app.gallery_pages import FOLDER, NAMES, example_page, index_page, read_example
 from experiments.gallery import run_example
 from tests.printed import check_printed
@@ -65,6 +66,8 @@ def test_the_index_shows_every_example() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_an_example_prints_the_stored_result(name: str, tmp_path: Path) -> None:
+    if name == "fmu" and (reason := missing_for_fmu()):
+        pytest.skip(reason)
     printed = run_example(name, tmp_path)
     assert (tmp_path / f"{name}.png").is_file()
     check_printed(printed, stored_text(name))

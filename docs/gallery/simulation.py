@@ -1,9 +1,9 @@
 """Which rolling resistance and drag slow down a car that coasts?
 
 The model is a simulation: a function in which SciPy solves the differential equation. It is called
-as it is, and derivatives are finite differences. A simulator that exports an FMU works in the same
-way with `miho.models.FmuModel` and FMPy ([FMU as a model](../trajectories.md#an-fmu-as-a-model)).
-The coast from 35 m/s is simulated (seed 10), with noise of 0.1 m/s.
+as it is, and derivatives are finite differences. A simulation that a tool exported as a file works
+in the same way ([FMU](fmu.md)). The coast from 35 m/s is simulated (seed 10), with noise of
+0.1 m/s.
 """
 
 import numpy as np

@@ -17,11 +17,13 @@ SECTIONS = {
     "Chemistry and biology": (
         "spectrum", "enzyme", "dose_response", "logistic_growth", "pharmacokinetics",
     ),
-    "Models that are not formulas": ("simulation", "external_program"),
+    "Models that are not formulas": ("simulation", "fmu", "external_program"),
     "Knowledge and data": ("joint_fit", "fixed_and_tied", "prior", "robust_loss", "next_test"),
     "Many fits, many methods": ("many_fits", "compare_methods"),
 }  # fmt: skip
 """The names of the examples in their order on the index page."""
+TITLES = {"fmu": "FMU"}
+"""The titles of pages that are not their names."""
 NAMES = [name for names in SECTIONS.values() for name in names]
 
 
@@ -36,7 +38,7 @@ class Example(NamedTuple):
     @property
     def title(self) -> str:
         """The title of its page."""
-        return self.name.replace("_", " ").capitalize()
+        return TITLES.get(self.name, self.name.replace("_", " ").capitalize())
 
 
 def read_example(name: str) -> Example:

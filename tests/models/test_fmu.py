@@ -2,7 +2,6 @@
 
 import pickle
 import shutil
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
@@ -15,72 +14,29 @@ import pytest
 import miho
 from experiments.app.build import build
 from experiments.app.compose import composed
+from experiments.app.gallery_fmu import INTERFACES, build_fmu, description, missing_for_fmu
 from experiments.app.schema import register
 from miho.identification import make_report
 from miho.models import FmuModel
+from miho.models.fmu import CO_SIMULATION, MODEL_EXCHANGE
 
-fmpy = pytest.importorskip("fmpy", reason="the extra `fmu` is not installed")
-COMPILER = shutil.which("cc") or shutil.which("gcc")
-if COMPILER is None or not sys.platform.startswith("linux"):
-    pytest.skip("the FMU is compiled by a C compiler on Linux", allow_module_level=True)
+if reason := missing_for_fmu():
+    pytest.skip(reason, allow_module_level=True)
 
 register()
-VARIABLES = {
-    "k": ("parameter", "fixed", "N/m", 8),
-    "c": ("parameter", "fixed", "N.s/m", 0.9),
-    "m": ("parameter", "fixed", "kg", 2),
-    "start.x": ("parameter", "fixed", "m", 0),
-    "force": ("input", "continuous", "N", 0),
-    "x": ("output", "continuous", "m", None),
-    "v": ("output", "continuous", "m/s", None),
-    "der(v)": ("local", "continuous", "m/s2", None),
-}
-INTERFACES = {
-    "held": '<CoSimulation modelIdentifier="swing" canHandleVariableCommunicationStepSize="true"/>',
-    "exchanged": '<ModelExchange modelIdentifier="swing"/>',
-}
 T = np.linspace(1.0, 9.0, 201)
 K, C, M, START = 8.0, 0.9, 2.0, 0.4
-
-
-def description(interfaces: str) -> str:
-    """modelDescription.xml; "start.x" is the first value of the state x, set before."""
-    variables = "".join(
-        f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
-        f'variability="{variability}"><Real unit="{unit}"'
-        + (f' start="{start}"' if start is not None else "")
-        + (' derivative="7"' if name == "der(v)" else "")
-        + (' derivative="6"' if name == "v" else "")
-        + "/></ScalarVariable>"
-        for reference, (name, (causality, variability, unit, start)) in enumerate(VARIABLES.items())
-    )
-    units = "".join(
-        f'<Unit name="{unit}"/>' for unit in {unit for *_, unit, _ in VARIABLES.values()}
-    )
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" '
-        f'modelName="swing" guid="swing">{interfaces}<UnitDefinitions>{units}</UnitDefinitions>'
-        f"<ModelVariables>{variables}</ModelVariables><ModelStructure><Outputs>"
-        '<Unknown index="6"/><Unknown index="7"/></Outputs><Derivatives><Unknown index="7"/>'
-        '<Unknown index="8"/></Derivatives></ModelStructure></fmiModelDescription>'
-    )
 
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
     """The path of an FMU with some of the interfaces."""
     folder = tmp_path_factory.mktemp("fmu")
-    library, headers = folder / "swing.so", Path(fmpy.__file__).parent / "c-code"
-    source = Path(__file__).with_name("oscillator.c")
-    command = [str(COMPILER), "-shared", "-fPIC", "-O2", f"-I{headers}", str(source), "-o"]
-    subprocess.run([*command, str(library)], check=True)
 
     def packed(*interfaces: str) -> str:
         path = folder / f"{'_'.join(interfaces)}.fmu"
-        with zipfile.ZipFile(path, "w") as archive:
-            text = description("".join(INTERFACES[name] for name in interfaces))
-            archive.writestr("modelDescription.xml", text)
-            archive.write(library, "binaries/linux64/swing.so")
+        if not path.exists():
+            build_fmu(path, *interfaces)
         return str(path)
 
     return packed
@@ -112,13 +68,13 @@ def test_a_free_swing_is_its_closed_form(fmu: Callable[..., str], interface: str
     thetas = np.array([[K, C, START], [12.0, 0.2, -1.0], [K, C, START]])
     values = model.predict(thetas, T)
     exact = np.array([free_swing(*theta, T) for theta in thetas])
-    np.testing.assert_allclose(values, exact, atol=3e-6 if interface == "exchanged" else 1e-10)
+    np.testing.assert_allclose(values, exact, atol=3e-6 if interface == MODEL_EXCHANGE else 1e-10)
     np.testing.assert_array_equal(values[0], values[2])  # nothing is left of the row between
 
 
 def test_derivatives_of_a_simulation(fmu: Callable[..., str]) -> None:
     """Against complex steps; central differences of (h k)^2 x''' / 6 are some 1e-5 off here."""
-    model = FmuModel(fmu("held"), ["k", "c", "start.x"], ["x"])
+    model = FmuModel(fmu(CO_SIMULATION), ["k", "c", "start.x"], ["x"])
     theta = np.array([K, C, START])
     moved = theta + 1e-30j * np.eye(3)
     exact = np.array([free_swing(*row, T).imag / 1e-30 for row in moved]).T
@@ -128,7 +84,7 @@ def test_derivatives_of_a_simulation(fmu: Callable[..., str]) -> None:
 
 def test_derivatives_beside_a_failure(fmu: Callable[..., str]) -> None:
     """At c = 0, below which there is no value, from c = 0.9e-3 alone: off by h c'' / 2."""
-    model = FmuModel(fmu("exchanged"), ["c", "start.x"], ["x"])
+    model = FmuModel(fmu(MODEL_EXCHANGE), ["c", "start.x"], ["x"])
     exact = np.array([free_swing(K, c, START, T) for c in (1e-30j, 0.0)])
     slopes = model.jacobian(np.array([0.0, START]), T)
     np.testing.assert_allclose(slopes[:, 0], exact[0].imag / 1e-30, atol=5e-3)
@@ -139,9 +95,9 @@ def test_inputs_are_straight_or_held_amid_a_step(fmu: Callable[..., str]) -> Non
     what a parabola is beside its chord: a second order, of which the model says what would help."""
     theta, force = np.array([[K, C]]), T - T[0]
     exact = ramp_response(K, C, T)
-    model = FmuModel(fmu("exchanged"), ["k", "c"], ["x"], ["force"])
+    model = FmuModel(fmu(MODEL_EXCHANGE), ["k", "c"], ["x"], ["force"])
     np.testing.assert_allclose(model.predict(theta, T, force)[0], exact, atol=3e-6)
-    model = FmuModel(fmu("held"), ["k", "c"], ["x"], ["force"])
+    model = FmuModel(fmu(CO_SIMULATION), ["k", "c"], ["x"], ["force"])
     error = np.abs(model.predict(theta, T, force)[0] - exact).max()
     finer = replace(model, substeps=8).predict(theta, T, force)[0] - exact
     assert np.abs(finer).max() == pytest.approx(error / 64, rel=0.05)
@@ -152,7 +108,7 @@ def test_inputs_are_straight_or_held_amid_a_step(fmu: Callable[..., str]) -> Non
 
 def test_rows_at_any_times_and_two_outputs(fmu: Callable[..., str]) -> None:
     """Of a swing of some rad/s, straight lines over 0.01 s are off by (2 * 0.01)^2 / 8."""
-    model = FmuModel(fmu("held"), ["k", "c", "start.x"], ["x", "v"], scales=[0.1, 2.0])
+    model = FmuModel(fmu(CO_SIMULATION), ["k", "c", "start.x"], ["x", "v"], scales=[0.1, 2.0])
     assert (model.inputs, model.output) == ({"t": "s", "output": "-"}, "-")
     t = np.sort(np.random.default_rng(0).uniform(0, 2, 200))
     t[0] = 0.0
@@ -167,9 +123,11 @@ def test_rows_at_any_times_and_two_outputs(fmu: Callable[..., str]) -> None:
 
 def test_a_simulation_that_fails_has_no_value(fmu: Callable[..., str]) -> None:
     """An error, a fatal one after which the instance must not be touched, a step without end."""
-    for interface in ("held", "exchanged"):
+    for interface in INTERFACES:
         model = FmuModel(fmu(interface), ["k", "c", "start.x"], ["x"], seconds=0.2)
-        bad = [[-1.0, C, START], [2e6, C, START]] + [[K, -200.0, START]] * (interface == "held")
+        bad = [[-1.0, C, START], [2e6, C, START]] + [[K, -200.0, START]] * (
+            interface == CO_SIMULATION
+        )
         values = model.predict(np.array([*bad, [K, C, START]]), T)
         assert np.isnan(values[:-1]).all(), interface
         np.testing.assert_allclose(values[-1], free_swing(K, C, START, T), atol=3e-6)
@@ -177,7 +135,7 @@ def test_a_simulation_that_fails_has_no_value(fmu: Callable[..., str]) -> None:
 
 def test_an_fmu_is_identified(fmu: Callable[..., str]) -> None:
     """With noise: the truth within four standard errors, and a report without complaints of it."""
-    model = FmuModel(fmu("held"), {"k": "k", "c": "c", "x_0": "start.x"}, ["x"])
+    model = FmuModel(fmu(CO_SIMULATION), {"k": "k", "c": "c", "x_0": "start.x"}, ["x"])
     noise = 0.005 * np.random.default_rng(0).standard_normal(T.size)
     x, start = free_swing(K, C, START, T) + noise, {"k": 9.0, "c": 0.5, "x_0": 0.3}
     fit = miho.fit(model, T, x, {"k": (1, 50), "c": (0, 5), "x_0": (-1, 1)}, start=start)
@@ -195,7 +153,7 @@ def test_a_configuration_names_an_fmu(fmu: Callable[..., str], tmp_path: Path) -
     rows = zip(T, 0 * T, free_swing(K, C, START, T), strict=True)
     lines = [",".join(map(repr, map(float, row))) for row in rows]
     (tmp_path / "swing.csv").write_text("\n".join(["t,force,x", *lines]) + "\n")
-    path = shutil.copy(fmu("held"), tmp_path / "swing.fmu")
+    path = shutil.copy(fmu(CO_SIMULATION), tmp_path / "swing.fmu")
     overrides = [
         "model=fmu", f"model.path={path}", "model.identified={k: k, x_0: start.x}",
         "model.outputs=[x]", "model.columns=[force]", "dataset=csv",
@@ -205,12 +163,12 @@ def test_a_configuration_names_an_fmu(fmu: Callable[..., str], tmp_path: Path) -
     ]  # fmt: skip
     experiment = build(composed(overrides))
     assert experiment.problem.loss(np.array([[K, START]]))[0] < 1e-20
-    shutil.copy(fmu("held", "exchanged"), path)
+    shutil.copy(fmu(*INTERFACES), path)
     assert build(composed(overrides)).identity.code != experiment.identity.code
 
 
 def test_interfaces_are_chosen(fmu: Callable[..., str]) -> None:
-    path, theta = fmu("held", "exchanged"), np.array([[K, START]])
+    path, theta = fmu(*INTERFACES), np.array([[K, START]])
     values = {
         interface: FmuModel(path, ["k", "start.x"], ["x"], interface=interface).predict(theta, T)
         for interface in ("", "CoSimulation", "ModelExchange")
@@ -220,10 +178,10 @@ def test_interfaces_are_chosen(fmu: Callable[..., str]) -> None:
 
 
 def test_bad_input_is_one_line(fmu: Callable[..., str], tmp_path: Path) -> None:
-    path = fmu("held")
+    path = fmu(CO_SIMULATION)
     (tmp_path / "no.fmu").write_text("no zip")
     with zipfile.ZipFile(tmp_path / "other.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", description(INTERFACES["held"]))
+        archive.writestr("modelDescription.xml", description(CO_SIMULATION))
         archive.writestr("binaries/win64/swing.dll", "")
     for settings, message in {
         ("no.fmu", "k", "x"): "no.fmu: cannot be read as an FMU: File is not a zip file",
@@ -256,4 +214,4 @@ def test_without_the_library_it_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "fmpy", None)
     with pytest.raises(ImportError, match=r"missing \(fmpy\); pip install 'miho\[fmu\]'"):
-        FmuModel(fmu("held"), ["k"], ["x"])
+        FmuModel(fmu(CO_SIMULATION), ["k"], ["x"])

@@ -1,4 +1,4 @@
-/* An FMU (FMI 2.0) of a damped oscillator m x'' = force - c x' - k x, for tests: co-simulation by
+/* An FMU (FMI 2.0) of a damped oscillator m x'' = force - c x' - k x: co-simulation by
    Runge-Kutta steps of a millisecond, and model exchange. Negative k or c is an error, k above 1e6
    a fatal one, after which no function may be called, and c below -100 is discarded, for ever. */
 #include <stdlib.h>
