@@ -18,7 +18,6 @@ from experiments.app.build import build_optimizer, build_problem
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from experiments.benchmarks.figures import arrival_figure
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHOGN, Budget, minimize
 
@@ -75,4 +74,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, arrival_figure, "arrival")
+    benchmark(__doc__, measure, "arrival")

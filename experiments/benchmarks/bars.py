@@ -61,10 +61,11 @@ class Measured:
 def benchmark(
     doc: str | None,
     measure: Callable[..., Measured],
-    draw: Callable[[pd.DataFrame], Figure] | None,
     name: str,
     flags: Mapping[str, str] | None = None,
     options: Mapping[str, tuple[Any, str]] | None = None,
+    *,
+    draw: Callable[[pd.DataFrame], Figure] | None = None,
 ) -> None:
     """Measure on one pinned thread, print, and exit with 1 if a bar is missed.
 

@@ -21,7 +21,6 @@ import pandas as pd
 
 import miho
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, turns
-from experiments.benchmarks.figures import run_figure
 from miho.quantities import Array
 
 ROWS, NOISE = 300, 0.05
@@ -113,4 +112,4 @@ def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, run_figure, "fit")
+    benchmark(__doc__, measure, "fit")

@@ -149,4 +149,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, None, "formulas")
+    benchmark(__doc__, measure, "formulas")

@@ -132,4 +132,4 @@ def _data(problem: CurveFit) -> tuple[Array, Array]:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, None, "interpreted")
+    benchmark(__doc__, measure, "interpreted")

@@ -22,7 +22,6 @@ from scipy.optimize import curve_fit
 
 import miho
 from experiments.benchmarks.bars import AT_LEAST, Bar, Measured, benchmark, turns
-from experiments.benchmarks.figures import run_figure
 from miho.quantities import Array
 
 DATASETS, ROWS, LOOPED = 10_000, 50, 300
@@ -116,4 +115,4 @@ def _as_good(table: pd.DataFrame, t: Array, y: Array, truth: Array) -> list[bool
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, run_figure, "many_fits")
+    benchmark(__doc__, measure, "many_fits")

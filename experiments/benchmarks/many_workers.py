@@ -23,10 +23,10 @@ import pandas as pd
 
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import PROCESSES, started
+from experiments.benchmarks.many_workers_figure import many_workers_figure
 from experiments.benchmarks.simulation_times import simulation_times
 from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
 from experiments.benchmarks.virtual_workers import virtual_search
-from experiments.benchmarks.workers_figures import many_workers_figure
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHO, MIHOGN, AsynchronousMIHOGN, Budget, Optimizer, RandomSearch, minimize
 from miho.parallel import Evaluations
@@ -185,4 +185,4 @@ def _quantiles(times: Array) -> str:
 
 if __name__ == "__main__":
     flags = {"check": "compare with real workers, 1 to 64 of them, which takes minutes"}
-    benchmark(__doc__, measure, many_workers_figure, "many_workers", flags)
+    benchmark(__doc__, measure, "many_workers", flags, draw=many_workers_figure)

@@ -24,7 +24,6 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
-from experiments.benchmarks.figures import run_figure
 from miho.identification import CurveFit
 from miho.models import Model
 from miho.optim import MIHO, Problem, RunRecord, Space, hyperband_table, minimize
@@ -211,4 +210,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, run_figure, "miho_run")
+    benchmark(__doc__, measure, "miho_run")

@@ -184,7 +184,6 @@ if __name__ == "__main__":
     benchmark(
         __doc__,
         measure,
-        None,
         "online",
         flags={"tune": "try the settings of each peer on other seeds first"},
         options={

@@ -27,7 +27,6 @@ from experiments.app.build import build
 from experiments.app.compose import CONF, composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from experiments.benchmarks.figures import overhead_figure
 from miho.compiled import Block, Climb, Kernel, Rows, Steps
 from miho.optim import Budget, LeastSquaresProblem, Optimizer, Oracle, Problem, Space, minimize
 
@@ -231,4 +230,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, overhead_figure, "overhead")
+    benchmark(__doc__, measure, "overhead")

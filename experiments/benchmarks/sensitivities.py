@@ -22,7 +22,6 @@ import numpy as np
 import pandas as pd
 
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from experiments.benchmarks.figures import sensitivity_figure
 from miho.models import Model
 from miho.models.model import central_differences
 from miho.quantities import Array
@@ -122,4 +121,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, sensitivity_figure, "sensitivities")
+    benchmark(__doc__, measure, "sensitivities")

@@ -26,7 +26,6 @@ import pandas as pd
 
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark
 from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
-from experiments.benchmarks.figures import run_figure
 from miho.parallel.process_executor import ProcessExecutor
 
 TASKS, WORKERS, TURNS = 1000, 2, 5
@@ -134,4 +133,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, run_figure, "tasks")
+    benchmark(__doc__, measure, "tasks")

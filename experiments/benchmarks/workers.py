@@ -26,7 +26,6 @@ from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
 from experiments.benchmarks.sleeping import Lengths, Sleeping, search
-from experiments.benchmarks.workers_figures import efficiency_figure
 from miho.optim import MIHO, Budget, Optimizer, Problem, RandomSearch, Space, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
@@ -155,4 +154,4 @@ def measure(quick: bool) -> Measured:
 
 
 if __name__ == "__main__":
-    benchmark(__doc__, measure, efficiency_figure, "workers")
+    benchmark(__doc__, measure, "workers")

@@ -1,4 +1,4 @@
-"""Figures of many workers: their efficiency, and the duration of a search."""
+"""Figure of the duration of a search by many workers."""
 
 from __future__ import annotations
 
@@ -22,23 +22,6 @@ PANELS = {
     "log-normal": "spread log-normally (σ = 0.7)",
     "measured": "spread as in a simulation",
 }
-
-
-def efficiency_figure(frame: pd.DataFrame) -> Figure:
-    """Median efficiency over workers, a line per engine. Frame: kind, name, workers, efficiency."""
-    require_columns(frame, {"kind", "name", "workers", "efficiency"}, "frame")
-    rows = frame[frame["kind"] == "efficiency"]
-    rows = rows.groupby(["name", "workers"], sort=False)["efficiency"].median().reset_index()
-    with house_style():
-        figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
-        ax = figure.subplots()
-        for k, (name, line) in enumerate(rows.groupby("name", sort=False)):
-            ax.plot(line["workers"], line["efficiency"], label=name, **_look(k))
-        ax.set(xscale="log", xlabel="workers", ylabel="efficiency", ylim=(0, 1.05))
-        _whole_ticks(ax, sorted(rows["workers"].unique()))
-        ax.legend(loc="lower left")
-        figure.draw_without_rendering()
-    return figure
 
 
 def many_workers_figure(frame: pd.DataFrame) -> Figure:
@@ -98,8 +81,3 @@ def _look(k: int) -> dict[str, Any]:
         "marker": MARKERS[k % len(MARKERS)],
         "markersize": 3.5,
     }
-
-
-def _whole_ticks(ax: Axes, workers: list[float]) -> None:
-    ax.set_xticks(workers, labels=[f"{w:g}" for w in workers])
-    ax.minorticks_off()
