@@ -29,7 +29,7 @@ from miho.analysis.pages.run_tables import (
     values_table,
 )
 from miho.analysis.pages.sweep import Best, save_sweep_page
-from miho.analysis.pages.sweep_contents import Configured, best_runs
+from miho.analysis.pages.sweep_contents import best_runs
 from miho.analysis.pages.sweep_runs import Sweep
 from miho.identification import Report
 from miho.identification.line_wrapping import for_terminal
@@ -109,11 +109,10 @@ def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -
         warnings.append(f"{missing}.".replace(f"{root}{os.sep}", ""))
     options = [argument for argument in sys.argv[1:] if argument.startswith("--")]
     made_by = " ".join(["python -m experiments.report", root.resolve().name, *options])
-    configured = Configured(as_configured)
     with at_work("report") as show_stage:
         show_stage("page of all runs")
         return save_sweep_page(
-            root, path, sweep=sweep, best=best, configured=configured, warnings=warnings,
+            root, path, sweep=sweep, best=best, configured=as_configured, warnings=warnings,
             made_by=made_by,
         )  # fmt: skip
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
-from miho.study.meaning import meaning
 from miho.study.places import check_name
 from miho.validate import whole
 
@@ -28,31 +26,6 @@ def canonical(value: Any) -> str:
 def sha256(text: str | bytes) -> str:
     """Hexadecimal SHA-256."""
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
-
-
-def code_digest(places: Iterable[Path]) -> str:
-    """Digest of Python files and of all Python files in folders.
-
-    Comments, docstrings and layout do not count. C files in the folders are included as bytes.
-
-    Parameters
-    ----------
-    places : iterable of Path
-        Files and folders.
-
-    Returns
-    -------
-    str
-        SHA-256 over the names and the meaning of the files.
-    """
-    digest = hashlib.sha256()
-    for place in places:
-        for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
-            name = path.relative_to(place.parent).as_posix()
-            digest.update(f"\0{name}\0{meaning(path.read_bytes())}".encode())
-        for path in [] if place.is_file() else sorted(place.rglob("*.[ch]")):
-            digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
-    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

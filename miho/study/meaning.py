@@ -12,18 +12,13 @@ IGNORED = ("kind", "type_comment", "type_ignores")
 """Fields of a syntax tree for spelling and comments."""
 
 
-def meaning(source: bytes) -> str:
-    """Syntax tree of a program as text, without docstrings; raises SyntaxError.
+def meaning_of(node: Any) -> str:
+    """Meaning of a syntax tree, or of a value in one, as text without docstrings.
 
     All Python versions that can read the program give the same text. Empty fields are omitted,
     because versions differ in the fields that exist. Other characters than ASCII are escaped,
     because versions differ in which they can print. `ast.dump` does neither.
     """
-    return meaning_of(ast.parse(source))
-
-
-def meaning_of(node: Any) -> str:
-    """Meaning of a syntax tree, or of a value in one."""
     if isinstance(node, ast.AST):
         fields = {name: value for name, value in ast.iter_fields(node) if name not in IGNORED}
         if isinstance(fields.get("body"), list):

@@ -12,7 +12,6 @@ from miho.analysis.compare.bootstrap import (
     ratio_of_means,
     resample,
     speed_up,
-    time_to_target,
 )
 from miho.analysis.tidy import one_problem
 from tests.analysis.synthetic import Steps, frames
@@ -29,10 +28,15 @@ def mean_curve(repetitions: list[Steps], end: float = 1000.0, outcome: str = "bu
     return MeanCurve.of(runs, curves, "m", "evaluations", range(len(repetitions)))
 
 
+def time_to_target(curve: MeanCurve, target: float) -> Interval:
+    """First position where the mean curve is at most `target`, with its bootstrap interval."""
+    return interval(*curve.reaches(target, resample(len(curve.errors), rng())))
+
+
 def test_the_mean_reaches_the_target_where_the_last_needed_run_improves() -> None:
     curve = mean_curve([[(10.0, 900.0), (100.0, 400.0)], [(20.0, 700.0), (50.0, 600.0)]])
     for target, expected in [(800.0, 20.0), (750.0, 50.0), (749.0, 100.0), (500.0, 100.0)]:
-        assert time_to_target(curve, target, rng()).estimate == expected
+        assert time_to_target(curve, target).estimate == expected
 
 
 def test_the_search_agrees_with_averaging_on_every_breakpoint() -> None:
@@ -51,10 +55,10 @@ def test_the_search_agrees_with_averaging_on_every_breakpoint() -> None:
 
 
 def test_what_was_cut_is_known_within_bounds_and_what_ended_is_known() -> None:
-    cut = time_to_target(mean_curve([[(10.0, 900.0)]] * 3), 500.0, rng())
+    cut = time_to_target(mean_curve([[(10.0, 900.0)]] * 3), 500.0)
     assert (cut.estimate, cut.at_most, cut.low, cut.high) == (1000, np.inf, 1000, np.inf)
     assert cut.censored == 1
-    ended = time_to_target(mean_curve([[(10.0, 900.0)]] * 3, outcome="converged"), 500.0, rng())
+    ended = time_to_target(mean_curve([[(10.0, 900.0)]] * 3, outcome="converged"), 500.0)
     assert (ended.estimate, ended.at_most, ended.censored) == (np.inf, np.inf, 0)
 
 
@@ -84,7 +88,7 @@ def test_a_mean_that_arrives_after_a_run_was_cut_is_known_within_bounds() -> Non
 
 
 def test_a_run_without_a_value_keeps_the_mean_from_any_target() -> None:
-    assert time_to_target(mean_curve([[(10.0, 1.0)], []]), 500.0, rng()).at_most == np.inf
+    assert time_to_target(mean_curve([[(10.0, 1.0)], []]), 500.0).at_most == np.inf
 
 
 def test_speed_up_of_identical_runs_is_exact() -> None:

@@ -35,10 +35,10 @@ SWEEP = ("-m", "optimizer=miho,pso_100,random", "budget.evaluations=3000", "data
 
 VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 DIGEST = """
-import hashlib, pathlib, runpy, sys
-meaning = runpy.run_path("miho/study/meaning.py")["meaning"]
-files = sorted(pathlib.Path("miho").rglob("*.py"))
-print(hashlib.sha256("".join(meaning(file.read_bytes()) for file in files).encode()).hexdigest())
+import ast, hashlib, pathlib, runpy
+meaning_of = runpy.run_path("miho/study/meaning.py")["meaning_of"]
+trees = [ast.parse(file.read_bytes()) for file in sorted(pathlib.Path("miho").rglob("*.py"))]
+print(hashlib.sha256("".join(map(meaning_of, trees)).encode()).hexdigest())
 """
 SURROUNDINGS = {
     "as it is": {},

@@ -212,31 +212,6 @@ def ratio_of_means(
     return interval(ratios, ratios)
 
 
-def time_to_target(
-    curve: MeanCurve, target: float, rng: np.random.Generator, resamples: int = RESAMPLES
-) -> Interval:
-    """First position where the mean curve is at most `target`.
-
-    Parameters
-    ----------
-    curve : MeanCurve
-        Runs of a method.
-    target : float
-        Error.
-    rng : Generator
-        Draws the resamples.
-    resamples : int
-        Number of resamples.
-
-    Returns
-    -------
-    Interval
-        The position in the unit of the curve's axis. If the mean never reaches the target:
-        [earliest end of a cut run, inf], or inf if all runs had finished.
-    """
-    return interval(*curve.reaches(target, resample(len(curve.errors), rng, resamples)))
-
-
 def speed_up(
     method: MeanCurve,
     rivals: Sequence[MeanCurve],

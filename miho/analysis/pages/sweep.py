@@ -17,7 +17,6 @@ from miho.analysis.figures.paper import plot_error_over
 from miho.analysis.pages.html import PAGE, asset, render
 from miho.analysis.pages.run_tables import values_table
 from miho.analysis.pages.sweep_contents import (
-    NOTHING_CONFIGURED,
     Configured,
     Contents,
     best_runs,
@@ -72,7 +71,7 @@ def save_sweep_page(
     *,
     sweep: Sweep | None = None,
     best: Mapping[str, Best] | None = None,
-    configured: Configured = NOTHING_CONFIGURED,
+    configured: Configured | None = None,
     warnings: Sequence[str] = (),
     made_by: str = "miho.analysis.save_sweep_page",
 ) -> Path:
@@ -88,8 +87,8 @@ def save_sweep_page(
         The runs, if they were read already.
     best : mapping of str to Best, optional
         Results of the best run of each problem; by default its values.
-    configured : Configured
-        Additions from a configuration.
+    configured : callable, optional
+        Returns the runs of a comparison with the optima and families that are configured now.
     warnings : sequence of str
         Shown before the warnings about the runs.
     made_by : str

@@ -52,23 +52,14 @@ class Contents:
     unrecorded: Collection[str] = ()
 
 
-@dataclass(frozen=True)
-class Configured:
-    """Additions of a configuration to the files of runs; the defaults add nothing.
-
-    `runs` returns the runs of a comparison with the optima and families that are configured now.
-    """
-
-    runs: Callable[[pd.DataFrame], pd.DataFrame] = lambda runs: runs
-
-
-NOTHING_CONFIGURED = Configured()
+Configured = Callable[[pd.DataFrame], pd.DataFrame]
+"""Returns the runs of a comparison with the optima and families that are configured now."""
 
 
 def contents(
     sweep: Sweep,
     root: Path,
-    configured: Configured,
+    configured: Configured | None,
     warnings: Sequence[str] = (),
     made_by: str = "miho.analysis.save_sweep_page",
 ) -> Contents:
@@ -110,12 +101,13 @@ def best_runs(sweep: Sweep) -> dict[str, Path]:
 
 
 def _leaderboard(
-    sweep: Sweep, comparison: Comparison | None, configured: Configured
+    sweep: Sweep, comparison: Comparison | None, configured: Configured | None
 ) -> pd.DataFrame | None:
     """The leaderboard of the comparison, as in its figures, or else of all runs."""
     runs, curves = sweep.runs, sweep.curves
     if comparison is not None and len(comparison.runs):
-        runs, curves = configured.runs(comparison.runs), comparison.curves
+        runs, curves = comparison.runs, comparison.curves
+        runs = runs if configured is None else configured(runs)
     if runs["problem"].nunique() < 2 or runs["optimizer"].nunique() < 2:
         return None
     return leaderboard(runs, curves)
