@@ -109,18 +109,18 @@ def oracle(count: int) -> dict[str, float]:
     close: dict[float, list[float]] = {0.10: [], 0.05: []}
     late = []
     for seed in range(count):
-        one = stream(tire, "jump", seed, 40.0)
-        B, C, D, Sx, Sy = (one.truth[name] for name in ("B", "C", "D", "Sx", "Sy"))
-        shape = np.sin(C * np.arctan(B * (Sx - one.columns["alpha"])))
-        force = one.columns["Fy"] - Sy
-        fallen = one.during(30.2, 34.0)
+        jump = stream(tire, "jump", seed, 40.0)
+        B, C, D, Sx, Sy = (jump.truth[name] for name in ("B", "C", "D", "Sx", "Sy"))
+        shape = np.sin(C * np.arctan(B * (Sx - jump.columns["alpha"])))
+        force = jump.columns["Fy"] - Sy
+        fallen = jump.during(30.2, 34.0)
         x, y = shape[fallen], force[fallen]
         away = np.abs(np.cumsum(x * y) / np.cumsum(x * x) / D[-1] - 1)
         for tolerance, delays in close.items():
             delays.append(0.2 + 0.02 * next(
                 i for i in range(y.size) if (away[i : i + 50] < tolerance).all()
             ))  # fmt: skip
-        changing = one.during(30.0, 31.0)
+        changing = jump.during(30.0, 31.0)
         gain = (force - D[0] * shape) ** 2 - (force - D * shape) ** 2
         odds = np.cumsum(gain[changing]) / (2 * FORCE_NOISE**2)
         late.append(0.02 * int(np.argmax(odds > math.log(3600 * 50))))
@@ -141,29 +141,29 @@ def bars(frame: pd.DataFrame) -> list[Bar]:
     rows: dict[str, Any] = {str(row["method"]): row for _, row in frame.iterrows()}
     own = rows["tracker"]
     peers = [row for name, row in rows.items() if name not in ("tracker", "oracle")]
-    made = []
+    judged = []
     for prefix, name in (("", "tire"), ("car ", "car")):
         limits = {"10 %": 0.26, "5 %": 0.32, "alarm s": 0.12}
-        made += [
+        judged += [
             Bar(f"{name}: delay, {column}", own[prefix + column], AT_MOST, limit, "s")
             for column, limit in limits.items()
         ]
         errors = {"error": 0.7, "error outliers": 0.7, "error ramp": 1.5}
-        made += [
+        judged += [
             Bar(f"{name}: mean {column}", own[prefix + column], AT_MOST, limit, "%")
             for column, limit in errors.items()
         ]
         best = min((row.get(prefix + "error", np.inf) for row in peers), default=np.nan)
         ratio = own[prefix + "error"] / best
-        made.append(Bar(f"{name}: error on jumps / best peer's", ratio, AT_MOST, 0.7))
+        judged.append(Bar(f"{name}: error on jumps / best peer's", ratio, AT_MOST, 0.7))
         most = own[prefix + "most alarms"]
-        made.append(Bar(f"{name}: alarms of one change", most, AT_MOST, 1))
+        judged.append(Bar(f"{name}: alarms of one change", most, AT_MOST, 1))
         scaled = " scaled" if prefix else ""
         for column in ("before", "after", "mixed"):
             value = own[prefix + column + scaled]
-            made.append(Bar(f"{name}: coverage {column}{scaled}", value, AT_LEAST, 0.92))
-            made.append(Bar(f"{name}: coverage {column}{scaled}", value, AT_MOST, 0.98))
-    made += [
+            judged.append(Bar(f"{name}: coverage {column}{scaled}", value, AT_LEAST, 0.92))
+            judged.append(Bar(f"{name}: coverage {column}{scaled}", value, AT_MOST, 0.98))
+    judged += [
         Bar("tire: delay, 10 %, with outliers", own["10 % outliers"], AT_MOST, 0.26, "s"),
         Bar("tire: coverage in ramps", own["ramp"], AT_LEAST, 0.85),
         Bar("tire: false alarms an hour", own["false an hour"], AT_MOST, 0.5),
@@ -173,11 +173,11 @@ def bars(frame: pd.DataFrame) -> list[Bar]:
         Bar("faults: recovery", own["recovery"], AT_MOST, 1.0, "s"),
         Bar("one update", own["us"], AT_MOST, 50, "us"),
     ]
-    made += [
+    judged += [
         Bar(f"fault {kind}: largest error of D", own[f"fault {kind}"], AT_MOST, 1.5, "%")
         for kind in ("nan", "dropout", "missing", "frozen", "time")
     ]
-    return made
+    return judged
 
 
 if __name__ == "__main__":

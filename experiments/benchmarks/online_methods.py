@@ -152,14 +152,14 @@ CONTENDERS: dict[str, Contender] = {
 
 def detectors(names: tuple[str, ...], thresholds: Mapping[str, float]) -> dict[str, Detector]:
     """Return detectors by name, with infinite thresholds if none are given."""
-    made: dict[str, Detector] = {
+    known: dict[str, Detector] = {
         LEVEL: LevelAlarm(),
         MODE: ModeAlarm(),
         POINTS: ChangePointAlarm(),
         ROBUST_POINTS: ChangePointAlarm(outliers=0.02),
     }
     return {
-        name: replace(made[name], threshold=thresholds.get(name, float("inf")))
+        name: replace(known[name], threshold=thresholds.get(name, float("inf")))
         for name in names
-        if name in made
+        if name in known
     }

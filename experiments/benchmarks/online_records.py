@@ -129,14 +129,14 @@ def records(
     """
     if not isinstance(method, PeerMethod):
         return [_record(method, stream, every) for stream in streams]
-    made: dict[int, Record] = {}
+    by_place: dict[int, Record] = {}
     for length in {len(stream) for stream in streams}:
         equal = [k for k, stream in enumerate(streams) if len(stream) == length]
         for first in range(0, len(equal), abreast):
             places = equal[first : first + abreast]
             each = _lockstep(method, [streams[k] for k in places], detectors)
-            made |= zip(places, each, strict=True)
-    return [made[k] for k in range(len(streams))]
+            by_place |= zip(places, each, strict=True)
+    return [by_place[k] for k in range(len(streams))]
 
 
 def _lockstep(
@@ -174,7 +174,7 @@ def _lockstep(
 
 def _rows(peer: Peer, streams: Sequence[Stream]) -> tuple[Array, Array, Array]:
     """Times (N, S), inputs (N, S, p) and outputs (N, S, m) of streams of equal length."""
-    outputs = [one.column for one in peer.setup.system.outputs]
+    outputs = [output.column for output in peer.setup.system.outputs]
     T = np.stack([stream.columns["time"] for stream in streams], axis=1)
     X, Y = (
         np.stack([np.stack([stream.columns[n] for n in names], 1) for stream in streams], 1)

@@ -79,9 +79,9 @@ def tuning_error(method: OnlineMethod, contender: Contender, quick: bool) -> flo
     count = 1 if quick or contender.share < 0.25 else 4
     errors = []
     for family in families:
-        each = [one for kind in CHANGES for one in streams(family, kind, TUNING, count, 45.0)]
-        made = records(method, each, {}, contender.abreast)
-        errors += [record.errors().mean() for record in made]
+        each = [drive for kind in CHANGES for drive in streams(family, kind, TUNING, count, 45.0)]
+        runs = records(method, each, {}, contender.abreast)
+        errors += [record.errors().mean() for record in runs]
     return float(np.mean(errors))
 
 
@@ -99,9 +99,9 @@ def calibrated(contender: Contender, family: Family, seeds: int, hours: float) -
     count = max(2, round(24 * min(1.0, contender.share, 2 * hours)))
     peaks: dict[str, float] = {}
     each = [
-        one
+        drive
         for k, kind in enumerate(("none", "mixed"))
-        for one in streams(family, kind, CALIBRATION + k * count, max(1, count // 2), 150.0)
+        for drive in streams(family, kind, CALIBRATION + k * count, max(1, count // 2), 150.0)
     ]
     for record in records(method, each, detectors(contender.detectors, {}), contender.abreast):
         for name, peak in record.peaks.items():
@@ -147,7 +147,7 @@ def scored(
 def _changes(trial: Trial, family: Family) -> dict[str, Any]:
     """Delays, errors, coverage and alarms on jumps, ramps and jumps with outliers."""
     n = trial.seeds
-    each = trial.over([one for kind in CHANGES for one in streams(family, kind, TEST, n, 60.0)])
+    each = trial.over([drive for kind in CHANGES for drive in streams(family, kind, TEST, n, 60.0)])
     jump, ramp, outliers = each[:n], each[n : 2 * n], each[2 * n :]
     alarm = trial.alarm
     late = [record.alarm_delay(alarm) for record in jump]
@@ -190,10 +190,10 @@ def _quiet(trial: Trial, family: Family) -> dict[str, Any]:
         "mixed": streams(family, "mixed", HOURS, _count(hours / 2, 330), 330.0),
         "straight": streams(family, "straight", STRAIGHTS, _count(hours / 4, 330), 330.0),
         "outliers": streams(family, "outliers", STRAIGHTS, _count(hours / 8, 330), 330.0),
-        "faults": [one for kind in FAULTS for one in streams(family, kind, HOURS, count, 60.0)],
+        "faults": [drive for kind in FAULTS for drive in streams(family, kind, HOURS, count, 60.0)],
     }
-    made = iter(trial.over([one for each in sets.values() for one in each], PIECE))
-    parts = {name: [next(made) for _ in each] for name, each in sets.items()}
+    runs = iter(trial.over([drive for each in sets.values() for drive in each], PIECE))
+    parts = {name: [next(runs) for _ in each] for name, each in sets.items()}
     alarms = {n: sum(len(r.alarms[trial.alarm]) for r in each) for n, each in parts.items()}
     spent = {n: sum(len(r.stream) for r in each) / 180_000 for n, each in parts.items()}
     moved, grown = zip(*(_on_straight(record) for record in parts["straight"]), strict=True)
@@ -223,9 +223,9 @@ def _faults(trial: Trial) -> dict[str, Any]:
     row: dict[str, Any] = {}
     slowest = 0.0
     kinds, n = (*FAULTS, "delay"), trial.seeds
-    made = trial.over([one for kind in kinds for one in streams(tire, kind, TEST, n, 45.0)])
+    runs = trial.over([drive for kind in kinds for drive in streams(tire, kind, TEST, n, 45.0)])
     for k, kind in enumerate(kinds):
-        each = made[k * n : (k + 1) * n]
+        each = runs[k * n : (k + 1) * n]
         row[f"fault {kind}"] = np.median([record.errors(30.0).max() for record in each])
         if each[0].stream.end is not None:
             slowest = max(slowest, float(np.median([record.recovery(1.5) for record in each])))
