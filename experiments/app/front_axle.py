@@ -105,8 +105,8 @@ class FrontAxle:
         """Note below that panel."""
         judged = self.judged()
         near, turning = (
-            f"{found.ratio:.2f} [{found.low:.2f}, {found.high:.2f}]"
-            for found in (judged[AT_LOAD], judged[IN_TURN])
+            f"{accuracy.ratio:.2f} [{accuracy.low:.2f}, {accuracy.high:.2f}]"
+            for accuracy in (judged[AT_LOAD], judged[IN_TURN])
         )
         return (
             f"the front tires' curves at {self.load / 1000:.1f} kN on both wheels, over "
@@ -122,14 +122,14 @@ def verdict(axle: FrontAxle) -> list[str]:
         f"front axle, learned from property data, over {len(axle.drive['Fy'])} samples of a drive "
         f"that was not used; sampled at {sampled:.0f} N, driven at {axle.load:.0f} N",
     ]
-    for name, found in axle.judged().items():
-        holds = found.share <= axle.reference
+    for name, accuracy in axle.judged().items():
+        holds = accuracy.share <= axle.reference
         words = (
             f"{'holds' if holds else 'does not hold'} over the whole drive (property data: "
             f"{100 * axle.reference:.1f} %), "
-            f"{'less' if found.less_near_the_peaks else 'no less'} accurate near the peaks"
+            f"{'less' if accuracy.less_near_the_peaks else 'no less'} accurate near the peaks"
         )
-        lines.append(f"{name}: {found.text()}: {words}")
+        lines.append(f"{name}: {accuracy.text()}: {words}")
     return lines
 
 
@@ -142,7 +142,7 @@ def facts(axle: FrontAxle) -> dict[str, Any]:
         "peak_sensitivity": np.asarray(axle.axle.sensitivity.peak).tolist(),
         "stiffness_sensitivity": np.asarray(axle.axle.sensitivity.stiffness).tolist(),
         "reference": axle.reference,
-        "models": {name: found._asdict() for name, found in axle.judged().items()},
+        "models": {name: accuracy._asdict() for name, accuracy in axle.judged().items()},
         "verdict": verdict(axle),
     }
 

@@ -43,9 +43,9 @@ def pool(engine: str) -> Iterator[Run]:
 
 
 @contextmanager
-def executor(made: Callable[[], Any]) -> Iterator[Run]:
+def executor(create: Callable[[], Any]) -> Iterator[Run]:
     """An executor of `concurrent.futures`."""
-    with made() as workers:
+    with create() as workers:
         yield lambda count: wait([workers.submit(operator.pos, k) for k in range(count)])
 
 

@@ -71,25 +71,26 @@ def rows_of(test: str, settings: list[str]) -> Iterator[dict[str, object]]:
     road, line, vehicle = track_and_vehicle(cfg)
     car, _ = known_car(cfg, vehicle)
     for variant in VARIANTS:
-        one = setting_of(cfg, variant, line.length)
-        driver = driver_of(one, car, line)
+        setting = setting_of(cfg, variant, line.length)
+        driver = driver_of(setting, car, line)
         if not variant.yaw_term and driver.live is not None:
             driver = planned_by(driver, replace(driver.live, yaw_term=False))
-        drive = driven(one, driver, road, line)
+        drive = driven(setting, driver, road, line)
         clearance = Clearance.of(drive, road)
-        yield {"test": test, "equations": variant.name, **results(one, drive, driver, clearance)}
+        row = results(setting, drive, driver, clearance)
+        yield {"test": test, "equations": variant.name, **row}
 
 
 def setting_of(cfg: DictConfig, variant: Variant, lap: float) -> DictConfig:
     """Settings of a test with a variant; `lap` is the length of the line [m]."""
-    one = copy.deepcopy(cfg)
-    if one.drive.top_speeds and variant.laps == 1:
-        fastest = one.drive.top_speeds[-1]
-        one.drive.speed, one.drive.top_speeds = fastest, [fastest]
-        one.drive.distance = min(one.drive.distance, lap)
-    one.drive.equations = variant.equations
-    one.drive.controller.weights.steering = variant.weight
-    return one
+    setting = copy.deepcopy(cfg)
+    if setting.drive.top_speeds and variant.laps == 1:
+        fastest = setting.drive.top_speeds[-1]
+        setting.drive.speed, setting.drive.top_speeds = fastest, [fastest]
+        setting.drive.distance = min(setting.drive.distance, lap)
+    setting.drive.equations = variant.equations
+    setting.drive.controller.weights.steering = variant.weight
+    return setting
 
 
 def planned_by(driver: Driver, planner: PrintedPlanner) -> Driver:

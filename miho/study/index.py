@@ -15,7 +15,7 @@ import pandas as pd
 from miho.study.curves import COLUMNS, curve_of, error_of, without_theta
 from miho.study.files import CONFIG
 from miho.study.scan import CheckedRun, Damage, scan
-from miho.study.settings import Asked, Parts, differing, parts_of
+from miho.study.settings import Parts, RunRequest, differing, parts_of
 
 RUN_COLUMNS = [
     "id", "problem", "optimizer", "seed", "outcome", "error", "unit", "evaluations", "seconds",
@@ -119,34 +119,34 @@ def load_runs(root: str | Path) -> Runs:
     rows: list[dict[str, Any]] = []
     curves: list[bytes] = []
     skipped: list[Damage] = []
-    asked: list[Asked] = []
+    requests: list[RunRequest] = []
     configs: dict[str, Parts] = {}  # by the digest of their file; seeds share it
     for run in scan(top):
         if isinstance(run, Damage):
             skipped.append(run)
             continue
         try:
-            row, request = _run_row(run), _asked(run, configs)
+            row, request = _run_row(run), _request(run, configs)
         except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
             reason = f"{run.folder}: {type(error).__name__}: {error}"
             skipped.append(Damage(run.folder, reason))
             continue
         rows.append(row)
         curves.append(without_theta(run.curve))
-        asked.append(request)
+        requests.append(request)
     table = pd.DataFrame(rows) if rows else pd.DataFrame(columns=RUN_COLUMNS)
-    columns = differing(asked)
+    columns = differing(requests)
     table = pd.concat([table[KEYS], columns, table.drop(columns=KEYS)], axis=1)
     keys = table[[*KEYS, *columns, "folder"]]
     return Runs(table, top, tuple(skipped), keys, tuple(curves))
 
 
-def _asked(run: CheckedRun, configs: dict[str, Parts]) -> Asked:
+def _request(run: CheckedRun, configs: dict[str, Parts]) -> RunRequest:
     result, digest = run.result, str(run.result["files"][CONFIG])
     if digest not in configs:
         configs[digest] = parts_of(run.config)
     names = str(result["problem"]), str(result["optimizer"]), result["seed"]
-    return Asked(*names, configs[digest], str(result["code"]), str(result["data"]))
+    return RunRequest(*names, configs[digest], str(result["code"]), str(result["data"]))
 
 
 def _run_row(run: CheckedRun) -> dict[str, Any]:

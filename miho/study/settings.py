@@ -24,7 +24,7 @@ Parts = Mapping[str, bytes]
 """The groups of a configuration as JSON; most runs share most of them."""
 
 
-class Asked(NamedTuple):
+class RunRequest(NamedTuple):
     """Request of a run, and digests of its code and data."""
 
     problem: str
@@ -56,7 +56,7 @@ def is_setting(column: str) -> bool:
     return column in (CODE, DATA) or ("." in column and not column.startswith(f"{THETA}."))
 
 
-def differing(asked: Sequence[Asked]) -> pd.DataFrame:
+def differing(requests: Sequence[RunRequest]) -> pd.DataFrame:
     """A column for each setting that differs, with one row per run.
 
     Settings of the optimizer are compared among runs of one method, all others among runs of one
@@ -64,21 +64,21 @@ def differing(asked: Sequence[Asked]) -> pd.DataFrame:
     that equal the seed are not settings. Lists are JSON texts. Digests of code and data are columns
     if they differ among runs that are otherwise equal.
     """
-    distinct = {(a.problem, a.optimizer, id(a.parts), a.code, a.data): a for a in asked}
+    distinct = {(a.problem, a.optimizer, id(a.parts), a.code, a.data): a for a in requests}
     runs = list(distinct.values())
     columns: dict[str, list[Any]] = {}
     for name, path in _varying(runs):
-        values = [_leaves(a.parts.get(name, b"{}")).get(path) for a in asked]
-        if any(value != a.seed for value, a in zip(values, asked, strict=True)):
+        values = [_leaves(a.parts.get(name, b"{}")).get(path) for a in requests]
+        if any(value != a.seed for value, a in zip(values, requests, strict=True)):
             columns[f"{name}.{path}"] = values
     if _several([((a.problem, a.optimizer), a.code) for a in runs]):
-        columns[CODE] = [a.code[:DIGEST] for a in asked]
+        columns[CODE] = [a.code[:DIGEST] for a in requests]
     if _several([((a.problem, _outside_optimizer(a.parts)), a.data) for a in runs]):
-        columns[DATA] = [a.data[:DIGEST] for a in asked]
-    return pd.DataFrame(columns, index=range(len(asked)))
+        columns[DATA] = [a.data[:DIGEST] for a in requests]
+    return pd.DataFrame(columns, index=range(len(requests)))
 
 
-def _varying(runs: Sequence[Asked]) -> list[tuple[str, str]]:
+def _varying(runs: Sequence[RunRequest]) -> list[tuple[str, str]]:
     """Group and path of settings that differ within a method or problem; absent counts as null."""
     alike: dict[tuple[str, str], set[bytes]] = defaultdict(set)
     names = dict.fromkeys(name for run in runs for name in run.parts)
