@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,34 +132,41 @@ def resolution_of(fit: PublishedFit) -> float:
 def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
     """Text of the file of a problem in conf/problem."""
     rule, meaning = BOXES[box]
-    model = PublishedModel(fit.model)
+    names = PublishedModel(fit.model).parameters
     size = f"{len(fit.optimum)} parameters, {len(fit.dataset)} rows. Box: {meaning}."
-    about = [*comment(f"{fit.title}."), *comment(size)]
     optimum = optimum_of(fit)
     exact = optimum < ROUNDING * float(np.sqrt(np.mean(fit.dataset["y"] ** 2)))
-    resolution = [f"  resolution: {number(resolution_of(fit))}"] if exact else []
+    facts = {"name": name, "family": fit.model, "optimum": number(optimum)}
+    facts |= {"resolution": number(resolution_of(fit))} if exact else {}
+    settings = [f"dataset: {{name: {fit.name}}}", f"model: {{name: {fit.model}}}"]
+    space = {parameter: rule(fit, k) for k, parameter in enumerate(names)}
+    about = [f"{fit.title}.", size]
+    return problem_yaml("published_problems", about, settings, facts, evidence, space)
+
+
+def problem_yaml(
+    writer: str, about: Sequence[str], settings: Sequence[str], facts: Mapping[str, str],
+    evidence: str, space: Mapping[str, Box], groups: tuple[str, str] = ("published", "published"),
+) -> str:  # fmt: skip
+    """Text of a file in conf/problem, by the check `writer`; `groups`: of dataset and model."""
     lines = [
         "# @package _global_",
-        *about,
-        "# Written by experiments.check.published_problems: change the rule, not this file.",
+        *(line for text in about for line in comment(text)),
+        f"# Written by experiments.check.{writer}: change the rule, not this file.",
         "defaults:",
-        "  - override /dataset: published",
-        "  - override /model: published",
+        f"  - override /dataset: {groups[0]}",
+        f"  - override /model: {groups[1]}",
         "  - override /space: null",
         "",
-        f"dataset: {{name: {fit.name}}}",
-        f"model: {{name: {fit.model}}}",
+        *settings,
         "",
         "problem:",
-        f"  name: {name}",
-        f"  family: {fit.model}",
-        f"  optimum: {number(optimum)}",
-        *resolution,
+        *(f"  {key}: {text}" for key, text in facts.items()),
         "  evidence: >-",
         *(f"    {line}" for line in textwrap.wrap(evidence, WIDTH - 4)),
         "",
         "space:",
-        *(f"  {parameter}: {rule(fit, k).yaml}" for k, parameter in enumerate(model.parameters)),
+        *(f"  {name}: {box.yaml}" for name, box in space.items()),
     ]
     return "\n".join(lines) + "\n"
 

@@ -19,7 +19,6 @@ counts as 0.
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,11 +30,10 @@ from omegaconf import OmegaConf
 from baselines.problems import PublishedFit, PublishedModel, ResidualSystem, published_fit
 from experiments.check.published_problems import (
     PROBLEMS,
-    WIDTH,
     Box,
-    comment,
     number,
     optimum_of,
+    problem_yaml,
     write,
 )
 
@@ -180,44 +178,21 @@ def problems() -> Iterator[Posed]:
 
 def yaml_of(posed: Posed, optimum: float, evidence: str) -> str:
     """Text of the file of a problem in conf/problem."""
-    if posed.fit:
-        parts = "published", "published"
-        settings = f"dataset: {{name: {posed.fit.name}}}", f"model: {{name: {posed.fit.model}}}"
-    else:
-        parts = "zero_residuals", "residual_system"
-        settings = (
-            f"dataset: {{rows: {posed.rows}}}",
-            f"model: {{system: {posed.function}, length: {posed.length}}}",
-        )
     start = "published start" if posed.factor == 1 else "published start times ten"
     about = (
         f"{posed.function}, {TITLES[posed.collection]}: {posed.length} variables, {posed.rows} "
         f"residuals. Box: ten times max(1, |x|) around the {start} x of each variable, either way."
     )
-    exact = optimum < posed.resolution
-    lines = [
-        "# @package _global_",
-        *comment(about),
-        "# Written by experiments.check.residual_problems: change the rule, not this file.",
-        "defaults:",
-        f"  - override /dataset: {parts[0]}",
-        f"  - override /model: {parts[1]}",
-        "  - override /space: null",
-        "",
-        *settings,
-        "",
-        "problem:",
-        f"  name: {posed.name}",
-        f"  family: {posed.function}",
-        f"  optimum: {number(optimum)}",
-        *([f"  resolution: {number(posed.resolution)}"] if exact else []),
-        "  evidence: >-",
-        *(f"    {line}" for line in textwrap.wrap(evidence, WIDTH - 4)),
-        "",
-        "space:",
-        *(f"  {name}: {box.yaml}" for name, box in posed.box.items()),
+    facts = {"name": posed.name, "family": posed.function, "optimum": number(optimum)}
+    facts |= {"resolution": number(posed.resolution)} if optimum < posed.resolution else {}
+    groups = ("published", "published") if posed.fit else ("zero_residuals", "residual_system")
+    settings = [
+        f"dataset: {{rows: {posed.rows}}}",
+        f"model: {{system: {posed.function}, length: {posed.length}}}",
     ]
-    return "\n".join(lines) + "\n"
+    if posed.fit:
+        settings = [f"dataset: {{name: {posed.fit.name}}}", f"model: {{name: {posed.fit.model}}}"]
+    return problem_yaml("residual_problems", [about], settings, facts, evidence, posed.box, groups)
 
 
 def recorded(posed: Posed, file: Path) -> tuple[float, str]:
