@@ -174,7 +174,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a foreign target": (["model._target_=os.system"], "model._target_: 'os.system' is not"),
     "a target behind ours": (["model._target_=miho.study.files.os.system"], "is not a class or"),
     "a target of another kind": (["model._target_=miho.optim.MIHO"], "that gives a Model"),
-    "a private target": (["dataset._target_=miho.data.csv._lines"], "that gives a Dataset"),
+    "a private target": (["dataset._target_=miho.data.csv._number"], "that gives a Dataset"),
     "an unknown key, added": (["+sed=1"], "sed: is unknown; did you mean seed? allowed are model"),
     "an unknown limit, added": (["+budget.dollars=1"], "unexpected keyword argument 'dollars'"),
     "a range without end": (
