@@ -26,17 +26,17 @@ DURATION = 6.0
 TOLERANCE = 1e-6
 
 
-def simulation_times(draws: int = DRAWS, seed: int = 0) -> Array:
-    """Seconds (draws,) of simulations with parameters drawn uniformly, the shortest first."""
-    return np.sort([_seconds(simulation) for simulation in simulations(draws, seed)])
+def simulation_times() -> Array:
+    """Seconds (DRAWS,) of simulations with parameters drawn uniformly, the shortest first."""
+    return np.sort([_seconds(simulation) for simulation in simulations(DRAWS)])
 
 
-def simulations(draws: int, seed: int = 0) -> list[Callable[[], Any]]:
+def simulations(draws: int) -> list[Callable[[], Any]]:
     """Functions without arguments that simulate and return SciPy's solution."""
     register()
     problem = build_problem(composed(["model=single_track_response", "dataset=steering_test"]))
     model, space = cast(Trajectory, problem.model), problem.space
-    thetas = space.decode(space.sample(draws, np.random.default_rng(seed), "uniform"))
+    thetas = space.decode(space.sample(draws, np.random.default_rng(0), "uniform"))
     names = [parameter.name for parameter in space.parameters]
     return [partial(_simulated, model, dict(zip(names, row, strict=True))) for row in thetas]
 

@@ -16,7 +16,7 @@ from experiments.driving.car import known_car
 from experiments.driving.settings import track_and_vehicle
 from miho.fitting.one_fit import fit
 from miho.identification.report import Report
-from miho.online import OnlineMethod, TrackerSettings
+from miho.online import TrackerSettings
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.friction_schedule import FrictionSchedule
@@ -117,9 +117,9 @@ class FallingGrip:
         learning = LearningDriver(driver, self._planner(self.share), source)
         return self._drive(learning, self.schedule(seed), seed)
 
-    def tracked(self, report: Report, method: OnlineMethod = TRACKER) -> TrackedFriction:
-        """Return a source of friction by a method that tracks the front grip."""
-        running = method.start(report.problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
+    def tracked(self, report: Report) -> TrackedFriction:
+        """Return a source of friction by TRACKER, which tracks the front grip."""
+        running = TRACKER.start(report.problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
         place = report.problem.space.names.index("front_grip")
         return TrackedFriction(FrontAxle(self.car.vehicle), running, float(report.at.theta[place]))
 

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
-    from miho.data.csv import CSVError, load_csv
+    from miho.data.csv import load_csv
     from miho.data.dataset import Dataset
     from miho.data.mat import load_mat
     from miho.data.stacking import stacked
+    from miho.data.text_lines import CSVError
 
 __all__ = [
     "CSVError", "Dataset", "load_csv", "load_mat", "stacked",

@@ -34,12 +34,6 @@ def test_the_runtime_distribution_counts_all_runs_and_targets() -> None:
     assert shares(frame, "b") == [0, 0, 0, 0, 0.25]
 
 
-def test_the_runtime_distribution_may_be_per_dimension() -> None:
-    grid = np.array([4.0, 5.0, 6.0, 10.0])
-    frame = ecdf(table(), "evaluations", grid, dimensions={"p": 2, "q": 5})
-    assert shares(frame, "a") == [0, 0.25, 0.5, 0.75]
-
-
 def test_the_data_profile_counts_simplex_gradients() -> None:
     """d + 1 = 2 for p, 6 for q: a needs kappa of 5, 10 and 5."""
     frame = data_profile(table(), {"p": 1, "q": 5}, 1.01, np.array([4.9, 5.0, 10.0]))

@@ -14,7 +14,8 @@ from experiments.app.execution import execution_of
 from experiments.app.next_measurement import _without_formulas
 from experiments.app.schema import register
 from experiments.check import next_measurement
-from miho.data.csv import CSVError, TextFormat, TextTable
+from miho.data import CSVError
+from miho.data.csv import TextFormat, TextTable
 from miho.vehicle.models import Pacejka
 
 register()

@@ -85,16 +85,16 @@ class MeanCurve:
         earliest_cut = np.where(self.cut, self.ends, np.inf)[picks].min(axis=1)
         return np.minimum(reached, earliest_cut), reached
 
-    def still_falling(self, tolerance: float = 0.01) -> bool:
+    def still_falling(self) -> bool:
         """Return whether the mean fell in the second half, so that more budget matters.
 
-        True if a run was cut and the mean fell by more than `tolerance` (relative) between half of
-        each run's length and its end.
+        True if a run was cut and the mean fell by more than FALLING between half of each run's
+        length and its end.
         """
         half = np.searchsorted(self.at, self.ends / 2, side="right") - 1
         early = self.errors[np.arange(half.size), np.maximum(half, 0)]
         early = np.where(half < 0, np.inf, early).mean()
-        return bool(self.cut.any() and self.errors[:, -1].mean() < (1 - tolerance) * early)
+        return bool(self.cut.any() and self.errors[:, -1].mean() < (1 - FALLING) * early)
 
     def idle(self) -> Array:
         """The share of each run (n,) without improvement, on the axis.
@@ -111,6 +111,8 @@ class MeanCurve:
 
 
 PATIENCE = 0.02
+FALLING = 0.01
+"""Smallest relative fall of a mean that counts."""
 LEVEL = 0.95
 RESAMPLES = 2000
 

@@ -26,7 +26,6 @@ def ecdf(
     hits: pd.DataFrame,
     axis: Axis,
     grid: Array | None = None,
-    dimensions: Mapping[str, int] | None = None,
 ) -> pd.DataFrame:
     """Share of all (problem, seed, factor) reached within each budget.
 
@@ -41,8 +40,6 @@ def ecdf(
         The axis.
     grid : ndarray, optional
         Budgets; by default evenly spaced in the logarithm.
-    dimensions : mapping of str to int, optional
-        Number of parameters of each problem. If given, the axis is per parameter, as in COCO.
 
     Returns
     -------
@@ -50,10 +47,7 @@ def ecdf(
         Columns optimizer, the axis and share.
     """
     require_columns(hits, ["problem", "optimizer", axis], "hits")
-    spent = hits[axis].astype(float)
-    if dimensions is not None:
-        spent = spent / _of_problems(dimensions, hits["problem"])
-    return _shares(spent, hits["optimizer"], axis, grid)
+    return _shares(hits[axis].astype(float), hits["optimizer"], axis, grid)
 
 
 def data_profile(

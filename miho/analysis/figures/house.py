@@ -124,20 +124,20 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
         )
 
 
-def spread_apart(targets: Array, gap: float, low: float = 0.0, high: float = 1.0) -> Array:
+def spread_apart(targets: Array, gap: float) -> Array:
     """Positions (n,) at least `gap` apart in the order of `targets`, as near to them as possible.
 
     This is least squares under the constraint, an isotonic regression of target_i - i gap. If the
-    positions cannot fit between `low` and `high`, the gap shrinks until they do.
+    positions cannot fit between 0 and 1, the gap shrinks until they do.
     """
     count = len(targets)
     if count > 1:
-        gap = min(gap, (high - low) / (count - 1))
+        gap = min(gap, 1 / (count - 1))
     order = np.argsort(targets, kind="stable")
     shifts = gap * np.arange(count)
     fitted = isotonic_regression(targets[order] - shifts).x
     placed = np.empty(count)
-    placed[order] = np.clip(fitted, low, max(low, high - shifts[-1])) + shifts
+    placed[order] = np.clip(fitted, 0.0, max(0.0, 1.0 - shifts[-1])) + shifts
     return placed
 
 

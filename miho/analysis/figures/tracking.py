@@ -18,7 +18,7 @@ COLORS = {"the offline value": ALARM, "the tracker": BLUE, "the oracle": GREEN}
 
 
 def plot_parameter(
-    states: pd.DataFrame, name: str, ax: Axes, *, alarms: Sequence[float] = (), scale: float = 1.0
+    states: pd.DataFrame, name: str, ax: Axes, *, alarms: Sequence[float] = ()
 ) -> Axes:
     """A tracked parameter with its 95 % interval over time [s], and its truth if it is known.
 
@@ -32,8 +32,6 @@ def plot_parameter(
         Panel.
     alarms : sequence of float, optional
         Times [s] of alarms, marked by vertical lines.
-    scale : float, optional
-        Value of the parameter that is drawn as 1.
 
     Returns
     -------
@@ -42,12 +40,12 @@ def plot_parameter(
     """
     time = states["time"]
     ax.fill_between(
-        time, states[f"{name}_low"] / scale, states[f"{name}_high"] / scale,
+        time, states[f"{name}_low"], states[f"{name}_high"],
         color=BLUE, alpha=0.25, linewidth=0, label="95 % interval",
     )  # fmt: skip
-    ax.plot(time, states[name] / scale, color=BLUE, linewidth=1.1, label="estimate")
+    ax.plot(time, states[name], color=BLUE, linewidth=1.1, label="estimate")
     if f"{name}_true" in states:
-        truth = states[f"{name}_true"] / scale
+        truth = states[f"{name}_true"]
         ax.plot(time, truth, color="black", linewidth=0.9, linestyle=DASHED, label="truth")
     for k, at in enumerate(alarms):
         label = "alarm" if k == 0 else None

@@ -12,10 +12,11 @@ import numpy as np
 import scipy  # loads its subpackages on first use: importing them takes a second
 from numpy.typing import NDArray
 
-from miho.data.csv import PLAIN, CSVError, TextFormat, TextTable
+from miho.data.csv import PLAIN, TextFormat, TextTable
 from miho.data.dataset import file_name
 from miho.data.measurements import check_columns, check_names
 from miho.data.preview import Reading
+from miho.data.text_lines import CSVError
 from miho.data.units import si
 from miho.quantities import Array, g
 from miho.validate import positive
