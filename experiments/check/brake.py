@@ -159,7 +159,7 @@ def round_trip_errors(identified: Brake) -> tuple[Array, Array, Array]:
 
 
 def driving(path: Path) -> None:
-    """The law of a driving log, and how it depends on what is selected."""
+    """The law of a driving log, from each source of its deceleration."""
     columns = ["time", "vx", "vy", "yaw_rate", "ax", "throttle", "brake"]
     units = ["s", "m/s", "m/s", "rad/s", "m/s^2", "%", "kPa"]
     headers = [
@@ -183,36 +183,13 @@ def driving(path: Path) -> None:
         f"and reaches {ax.min():.1f} m/s^2, the rate {rate.min():.1f}"
     )
     print(f"  known: {PUBLISHED[0]:.2e} per Pa, {PUBLISHED[1]:.1e}, {PUBLISHED[2]:.2f}")
-    rows = [law("ax", "default", logged)]
-    variants: dict[str, dict[str, float]] = {
-        "default": {},
-        "p > 50 kPa": {"min_pressure": 5e4},
-        "p > 200 kPa": {"min_pressure": 2e5},
-        "vx > 12 m/s": {"min_speed": 12.0},
-        "1.5 Hz": {"cutoff": 1.5},
-        "2 Hz": {"cutoff": 2.0},
-        "4 Hz": {"cutoff": 4.0},
-        "5 Hz": {"cutoff": 5.0},
-        "settle 0.5 s": {"settle": 0.5},
-        "also in turns": {"max_lateral": np.inf},
-        "throttle <= 5 %": {"max_throttle": 0.05},
-        "any throttle": {"max_throttle": 1.0},
-    }
-    # Each way to select samples, without the turns, and with the pressure late.
-    for source, log in speeds.items():
-        rows += [law(source, name, log, **settings) for name, settings in variants.items()]
-        straight = {key: log[key] for key in channels if key not in ("vy", "yaw_rate")}
-        rows.append(law(source, "turns unknown", DrivingLog(log.name, straight)))
-        rows += [
-            law(source, f"p late by {late:g} s", DrivingLog(log.name, delayed(log, late)))
-            for late in (0.08, 0.16)
-        ]
-    print(pd.DataFrame(rows).to_string(index=False))
+    logs = {"ax": logged, **speeds}
+    print(pd.DataFrame(law(source, log) for source, log in logs.items()).to_string(index=False))
 
 
-def law(source: str, selection: str, log: DrivingLog, **settings: float) -> dict[str, object]:
+def law(source: str, log: DrivingLog) -> dict[str, object]:
     """Row with estimates, naive standard errors and intervals, relative to the known law."""
-    samples = braking_samples(log, **settings)
+    samples = braking_samples(log)
     inputs = samples["p"], samples["vx"]
     A = BrakeDeceleration().jacobian(np.zeros(3), *inputs)
     scale = np.linalg.norm(A, axis=0)
@@ -232,20 +209,13 @@ def law(source: str, selection: str, log: DrivingLog, **settings: float) -> dict
         ]
     )
     low, high = np.quantile(draws, [0.025, 0.975], axis=0) / PUBLISHED
-    row: dict[str, object] = {"speed": source, "selection": selection}
-    row |= {"n": len(y), "brakings": len(blocks)}
+    row: dict[str, object] = {"speed": source, "n": len(y), "brakings": len(blocks)}
     for name, value, error, a, b in zip(
         ("c_p", "c_v", "c_0"), theta / PUBLISHED, errors, low, high, strict=True
     ):
         row[name] = f"{value:.2f} +- {error:.2f} [{a:.2f}, {b:.2f}]"
     row["rmse"] = f"{np.std(y - A @ theta):.2f}"
     return row
-
-
-def delayed(log: DrivingLog, late: float) -> dict[str, Array]:
-    """Channels with the pressure `late` seconds after its command."""
-    time = log["time"]
-    return dict(log.channels) | {"brake": np.interp(time - late, time, log["brake"])}
 
 
 def best_lag(first: Array, second: Array) -> int:

@@ -11,9 +11,8 @@ conf/space/mf61_lateral, judged against the tire at loads and cambers that were 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter, process_time
+from time import process_time
 
 import numpy as np
 import pandas as pd
@@ -27,14 +26,10 @@ from experiments.app.schema import register
 from experiments.check import reference_data
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.identification import CurveFit
-from miho.models.model import central_differences
 from miho.optim import Budget, Space, minimize
-from miho.vehicle.data import embedded_tire, sample_axle, sample_lateral
+from miho.vehicle.data import embedded_tire, sample_lateral
 from miho.vehicle.models import (
     LateralMagicFormula,
-    Pacejka,
-    central_stiffness,
-    cornering_stiffness,
     from_simplified,
     load_tir,
     mf61_lateral,
@@ -127,16 +122,6 @@ def round_trips(path: Path) -> dict[str, object]:
     }
 
 
-def milliseconds(call: Callable[[], object]) -> float:
-    """The fastest of ten calls."""
-    times = []
-    for _ in range(10):
-        began = perf_counter()
-        call()
-        times.append(1e3 * (perf_counter() - began))
-    return min(times)
-
-
 def whole_run() -> None:
     """dataset=tire_lf_conditions optimizer=least_squares, and its tire through a file."""
     experiment = build(composed(["dataset=tire_lf_conditions", "optimizer=least_squares"]))
@@ -146,8 +131,7 @@ def whole_run() -> None:
     assert record.theta is not None
     print(
         f"\noptimizer=least_squares: RMSE {np.sqrt(record.loss):.3f} N, "
-        f"{record.evaluations} evaluations, {record.seconds:.1f} s, "
-        f"best to 0.1 % after {_reached(record.trace.loss, record.trace.seconds):.2f} s"
+        f"{record.evaluations} evaluations, {record.seconds:.1f} s"
     )
     tire = model.with_coefficients(record.theta)
     with tempfile.TemporaryDirectory() as folder:
@@ -159,49 +143,6 @@ def whole_run() -> None:
     force = model.predict(record.theta[None], *columns)[0]
     difference = again.forces(Fz, 0, alpha, gamma, pressure=pressure).Fy - force
     print(f"written, read and evaluated: {np.abs(difference).max():.1e} N from the model")
-    theta = record.theta
-    jacobian = model.jacobian(theta, *columns)
-    numeric = central_differences(model.predict, theta, *columns)
-    error = (np.abs(jacobian - numeric).max(axis=0) / np.abs(jacobian).max(axis=0)).max()
-    fast = milliseconds(lambda: model.jacobian(theta, *columns))
-    slow = milliseconds(lambda: central_differences(model.predict, theta, *columns))
-    scaled = jacobian / np.linalg.norm(jacobian, axis=0)
-    print(
-        f"Jacobian {jacobian.shape}: {fast:.1f} ms, by differences {slow:.1f} ms, "
-        f"largest difference {error:.1e} of a column's largest entry; "
-        f"condition with unit columns {np.linalg.cond(scaled):.0f}"
-    )
-
-
-def _reached(losses: list[float], seconds: list[float]) -> float:
-    return next(t for loss, t in zip(losses, seconds, strict=True) if loss <= 1.001**2 * losses[-1])
-
-
-def axles() -> pd.DataFrame:
-    """Pacejka on the axles: its error, and both stiffnesses next to the slope of the tires."""
-    rows = []
-    for axle, tires in {"front": ("lf", "rf"), "rear": ("lr", "rr")}.items():
-        experiment = build(composed([f"dataset={axle}_axle", "optimizer=least_squares"]))
-        record = minimize(experiment.optimizer, experiment.problem, Budget(), seed=0)
-        assert record.theta is not None
-        data, h = sample_axle(axle), 1e-5
-        slope = 0.0
-        for side, name in zip(("left", "right"), tires, strict=True):
-            tire = load_tir(embedded_tire(name))
-            Fz, gamma = data[f"Fz_{side}"], data[f"gamma_{side}"]
-            ahead, behind = (tire.forces(Fz, 0, x, gamma).Fy for x in (h, -h))
-            slope += float(np.mean(behind - ahead)) / (2 * h)
-        rows.append(
-            {
-                "axle": axle,
-                **dict(zip(Pacejka.parameters, record.theta, strict=True)),
-                "RMSE [N]": np.sqrt(record.loss),
-                "BCD, Eq. 14 [kN/rad]": central_stiffness(record.theta) / 1e3,
-                "slope at 0 [kN/rad]": cornering_stiffness(record.theta) / 1e3,
-                "mean slope of the tires [kN/rad]": slope / 1e3,
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def main() -> None:
@@ -225,8 +166,6 @@ def figures() -> None:
     whole_run()
     print("\nsimple curves of 5 loads x 5 cambers x 3 pressures: largest error over each peak")
     print(pd.DataFrame([round_trips(path) for path in tires]).to_string(index=False))
-    print("\naxles")
-    print(axles().to_string(index=False, float_format="%.4g"))
 
 
 if __name__ == "__main__":
