@@ -40,7 +40,7 @@ def test_a_claim_on_a_period_states_its_rate() -> None:
     fit = miho.fit(sine, X, Y, BOUNDS)
     assert fit.optimum.startswith("Converged: ")
     assert fit.optimum.endswith(f" %. {REMARK}.")
-    assert fit.report().standing.statement == fit.optimum
+    assert fit.report().conclusion.statement == fit.optimum
     for text in (flat(fit), flat(fit.report())):
         assert f"{REMARK}." in text
 
