@@ -10,7 +10,7 @@ import pandas as pd
 
 from miho.analysis.pages.sweep_runs import Origin, Sweep, json_leaves
 from miho.analysis.variants import named_apart, with_names_of
-from miho.study.settings import Asked, Parts, differing, parts_of
+from miho.study.settings import Parts, RunRequest, differing, parts_of
 
 ENVIRONMENT = {
     "time": "2026-11-21T18:44:25+00:00",
@@ -42,7 +42,7 @@ def sweep_of(runs: pd.DataFrame, curves: pd.DataFrame, **folders: Origin) -> Swe
     origins = {str(run): folders.get(str(run), origin()) for run in runs["id"]}
     names = runs[["problem", "optimizer", "seed"]].itertuples(index=False)
     asked = [
-        Asked(*name, parts(where.config), where.code, where.data)
+        RunRequest(*name, parts(where.config), where.code, where.data)
         for name, where in zip(names, origins.values(), strict=True)
     ]
     runs = named_apart(pd.concat([runs, differing(asked).set_axis(runs.index)], axis=1))
