@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from miho.analysis.compare.running_time import NEAR_BEST, at_factor, references
 from miho.analysis.compare.significance import ranks
-from miho.analysis.curves import Array, Axis, log_grid, positions, step
+from miho.analysis.curves import Array, log_grid, positions, step
 from miho.analysis.figures.house import AXIS_LABELS, EndLabel, caption, draw_end_labels, time_label
 from miho.analysis.styles import MethodStyle, styles_of, with_emphasis
 from miho.analysis.tidy import comparison, require_columns
@@ -37,13 +36,11 @@ def error_curves(
     runs: pd.DataFrame,
     curves: pd.DataFrame,
     *,
-    axis: Axis = "evaluations",
-    highlight: Collection[str] | None = None,
     note: str = "",
 ) -> Figure:
-    """Relative gap to the best known error over the axis: a panel per problem, all on one scale.
+    """Relative gap to the best known error: a panel per problem, all on one scale.
 
-    Lines are medians over repetitions. Highlighted methods (default: `styles.MAIN`) are in colour
+    Lines are medians over repetitions. The methods in `styles.MAIN` are in colour
     and have a band from the 10 % to the 90 % quantile; the others are grey. A problem without a
     known optimum is compared with the best error of all its runs (`running_time.references`) and
     marked with a star.
@@ -51,9 +48,9 @@ def error_curves(
     runs, curves = comparison(runs, curves)
     best_known = references(runs)
     starred = set(best_known.index[best_known["source"] != "known"])
-    styles = with_emphasis(runs["optimizer"], highlight)
+    styles = with_emphasis(runs["optimizer"])
     problems = list(dict.fromkeys(runs["problem"]))
-    grid = log_grid(curves, axis, 200)
+    grid = log_grid(curves, "evaluations", 200)
     columns = min(COLUMNS, len(problems))
     rows = -(-len(problems) // columns)
     with house_style():
@@ -62,7 +59,7 @@ def error_curves(
         for ax, problem in zip(panels, problems, strict=False):
             of_problem = runs[runs["problem"] == problem]
             best = float(best_known.loc[problem, "error"])
-            plot_gap(of_problem, curves[curves["problem"] == problem], axis, ax, best, grid, styles)
+            plot_gap(of_problem, curves[curves["problem"] == problem], ax, best, grid, styles)
             title = textwrap.fill(f"{problem} *" if problem in starred else problem, 27)
             ax.set_title(title, loc="left", fontsize=8)
         low, high = panels[0].get_ylim()  # limits of the curves in all panels
@@ -72,7 +69,7 @@ def error_curves(
         for ax in panels[len(problems) - columns : len(problems)]:
             ax.tick_params(labelbottom=True)
         for ax in panels[(rows - 1) * columns : len(problems)]:
-            ax.set_xlabel(textwrap.fill(AXIS_LABELS[axis], 20), fontsize=8)
+            ax.set_xlabel(textwrap.fill(AXIS_LABELS["evaluations"], 20), fontsize=8)
         figure.supylabel("relative gap", fontsize=9)
         _legend(figure, styles)
         text = "error / best known error - 1, gaps below $10^{-6}$ are drawn there"
@@ -85,7 +82,6 @@ def error_curves(
 def plot_gap(
     runs: pd.DataFrame,
     curves: pd.DataFrame,
-    axis: Axis,
     ax: Axes,
     best: float,
     grid: Array,
@@ -97,8 +93,8 @@ def plot_gap(
     runs have a value, and a band when more than 90 % have one. A line ends with the method's last
     run.
     """
-    gaps = {key: rows / best - 1 for key, rows in _errors(runs, curves, axis, grid).items()}
-    ends = runs.groupby("optimizer")[axis].max()
+    gaps = {key: rows / best - 1 for key, rows in _errors(runs, curves, grid).items()}
+    ends = runs.groupby("optimizer")["evaluations"].max()
     for order, (method, style) in enumerate(styles.items()):
         if method not in gaps:
             continue
@@ -121,7 +117,6 @@ def ecdf_figure(
     over_time: pd.DataFrame,
     clock: Clock,
     *,
-    highlight: Collection[str] | None = None,
     note: str = "",
 ) -> Figure:
     """Share of all (problem, repetition, target) reached, over evaluations and over time.
@@ -133,13 +128,13 @@ def ecdf_figure(
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        plot_shares(over_evaluations, "evaluations", left, highlight=highlight)
+        plot_shares(over_evaluations, "evaluations", left)
         left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
-        plot_shares(over_time, clock.axis, right, highlight=highlight)
+        plot_shares(over_time, clock.axis, right)
         right.set_xlabel(time_label(clock))
         explanation = "a target is one problem, repetition and distance to the optimum"
         caption(figure, explanation, clock.note if clock.axis == "seconds" else "", note)
-        label_shares(over_evaluations, "evaluations", right, highlight=highlight)
+        label_shares(over_evaluations, "evaluations", right)
     return figure
 
 
@@ -147,7 +142,6 @@ def profiles_figure(
     data_profile: pd.DataFrame,
     performance_profile: pd.DataFrame,
     *,
-    highlight: Collection[str] | None = None,
     note: str = "",
 ) -> Figure:
     """Data profile (More and Wild 2009) and performance profile (Dolan and More 2002).
@@ -159,23 +153,21 @@ def profiles_figure(
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        plot_shares(data_profile, "kappa", left, highlight=highlight)
-        plot_shares(performance_profile, "tau", right, highlight=highlight)
+        plot_shares(data_profile, "kappa", left)
+        plot_shares(performance_profile, "tau", right)
         left.set_title("data profile", loc="left")
         left.set(xlabel="evaluations / (dimension + 1)", ylabel="share solved")
         right.set_title("performance profile", loc="left")
         right.set_xlabel("running time / best method's")
         caption(figure, "left: share of runs, right: share of problems", note)
-        label_shares(performance_profile, "tau", right, highlight=highlight)
+        label_shares(performance_profile, "tau", right)
     return figure
 
 
-def plot_shares(
-    frame: pd.DataFrame, x: str, ax: Axes, *, highlight: Collection[str] | None = None
-) -> Axes:
+def plot_shares(frame: pd.DataFrame, x: str, ax: Axes) -> Axes:
     """The step function `share` over column `x` of each method, on a logarithmic scale of x."""
     require_columns(frame, ["optimizer", x, "share"], "frame")
-    for order, (method, style) in enumerate(with_emphasis(frame["optimizer"], highlight).items()):
+    for order, (method, style) in enumerate(with_emphasis(frame["optimizer"]).items()):
         rows = frame[frame["optimizer"] == method].sort_values(x)
         ax.step(rows[x], rows["share"], where="post", zorder=2 + 0.01 * order, **style.line)
     at = frame[x].to_numpy(dtype=float)
@@ -188,16 +180,14 @@ def plot_shares(
     return ax
 
 
-def label_shares(
-    frame: pd.DataFrame, x: str, ax: Axes, *, highlight: Collection[str] | None = None
-) -> None:
+def label_shares(frame: pd.DataFrame, x: str, ax: Axes) -> None:
     """Print the last share of each method and its name at the right edge of its panel.
 
     Of equal shares the method with the larger mean share, which reached it earlier, is higher.
     """
     shares = frame.sort_values(x, kind="stable").groupby("optimizer")["share"]
     last, mean = shares.last(), shares.mean()
-    styles = with_emphasis(frame["optimizer"], highlight)
+    styles = with_emphasis(frame["optimizer"])
     labels = [
         EndLabel(last[name], f"{100 * last[name]:3.0f} %  {styles[name].name}", styles[name])
         for name in sorted(styles, key=lambda method: (last[method], mean[method]))
@@ -206,10 +196,10 @@ def label_shares(
 
 
 def _errors(
-    runs: pd.DataFrame, curves: pd.DataFrame, axis: Axis, grid: Array
+    runs: pd.DataFrame, curves: pd.DataFrame, grid: Array
 ) -> dict[str, NDArray[np.float64]]:
     """Errors (n, g) of each method's n runs on the grid; inf before a run has a value."""
-    at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
+    at, errors = positions(curves, "evaluations"), curves["error"].to_numpy(dtype=float)
     rows = curves.groupby("id").indices
     no_value = np.full(grid.size, np.inf)
     by_method: dict[str, list[Array]] = {}
@@ -246,14 +236,13 @@ def ert_table(
     ert: pd.DataFrame,
     *,
     factor: float = NEAR_BEST,
-    axis: str = "evaluations",
     order: pd.DataFrame | None = None,
     note: str = "",
 ) -> Figure:
     """Expected running time to `factor` times the optimum, by method and problem.
 
     Darker cells are faster, and the last line is the cost of the best method of each problem, in
-    the unit of `axis`.
+    evaluations.
 
     Parameters
     ----------
@@ -261,8 +250,6 @@ def ert_table(
         As from `expected_running_time`.
     factor : float
         Target, as a multiple of the optimum.
-    axis : str
-        Unit of the running times.
     order : DataFrame, optional
         Optimizer and rank, which order the methods and are printed, for example the ranks of the
         leaderboard. By default the ranks of the running times; infinite times on a problem share
@@ -281,9 +268,9 @@ def ert_table(
         height = ROW * methods + LETTER * rows["problem"].str.len().max() + 1.2
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         ax = figure.subplots()
-        mesh = plot_ert(rows, ax, axis=axis, order=order)
+        mesh = plot_ert(rows, ax, order=order)
         bar = figure.colorbar(mesh, ax=ax, orientation="horizontal", aspect=50, pad=0.02)
-        bar.set_label(f"expected {axis} to {factor:g} times the optimum / the best method's")
+        bar.set_label(f"expected evaluations to {factor:g} times the optimum / the best method's")
         bar.set_ticks([0, 1, 2, 3], labels=["1", "10", "100", "1000 or more"])
         text = "small: share of successful runs, if not all; -: never"
         caption(figure, text, note)
@@ -291,9 +278,7 @@ def ert_table(
     return figure
 
 
-def plot_ert(
-    rows: pd.DataFrame, ax: Axes, *, axis: str, order: pd.DataFrame | None = None
-) -> QuadMesh:
+def plot_ert(rows: pd.DataFrame, ax: Axes, *, order: pd.DataFrame | None = None) -> QuadMesh:
     """The cells of `ert_table`, for the rows of one factor; returns the coloured mesh.
 
     Its values (methods, problems) are log10 of the ratio to the best method's running time, NaN if
@@ -319,7 +304,7 @@ def plot_ert(
     ax.set_yticks(np.arange(len(names)) + 0.5, labels=names)
     places = np.arange(len(best)) + 0.5
     ax.set_xticks(places, labels=[short(value) for value in best])
-    ax.set_xlabel(f"expected {axis} of the best method", fontsize=8)
+    ax.set_xlabel("expected evaluations of the best method", fontsize=8)
     top = ax.secondary_xaxis("top")
     top.set_xticks(places, labels=list(cost.columns), rotation=90)
     ax.text(-0.01, 1.01, "mean rank", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)

@@ -136,9 +136,7 @@ def plot_cliques(ranks: pd.DataFrame, cliques: Sequence[Collection[str]], ax: Ax
     return ax
 
 
-def speed_up_figure(
-    speed_ups: pd.DataFrame, *, method: str = "miho", axis: str = "evaluations", note: str = ""
-) -> Figure:
+def speed_up_figure(speed_ups: pd.DataFrame, *, method: str, note: str = "") -> Figure:
     """How many times faster `method` is than each rival, with 95 % intervals.
 
     The frame has the columns method, rival, ratio (rival's expected running time / the method's),
@@ -148,13 +146,13 @@ def speed_up_figure(
     with house_style():
         rivals = int((speed_ups["method"] == method).sum())
         figure = Figure(figsize=(WIDTH, ROW * rivals + 1.1), layout="constrained")
-        plot_speed_up(speed_ups, figure.subplots(), method=method, axis=axis)
+        plot_speed_up(speed_ups, figure.subplots(), method=method)
         caption(figure, "hollow and grey: undecided, the 95 % interval contains 1", note)
         figure.draw_without_rendering()
     return figure
 
 
-def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str, axis: str) -> Axes:
+def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str) -> Axes:
     """The rows of `speed_up_figure`, largest ratio first."""
     require_columns(
         speed_ups,
@@ -180,7 +178,7 @@ def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str, axis: str) 
     ax.text(1.28, -0.7, f"solved by both /\n{name} / rival only", va="bottom", **beside)
     ax.axvline(1, color=DARK, linewidth=1)
     ax.set(xscale="log", xlim=(low, high))
-    ax.set_xlabel(f"expected {axis} of the rival / of {name} (right of 1: {name} is faster)")
+    ax.set_xlabel(f"expected evaluations of the rival / of {name} (right of 1: {name} is faster)")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())

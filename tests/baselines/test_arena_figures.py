@@ -37,7 +37,7 @@ def gap_panel(steps: list[Steps], ends: float = 1000.0, highlight: bool = True) 
     runs, curves = frames({"miho": steps}, ends={"miho": ends})
     ax = Figure().subplots()
     styles = with_emphasis(["miho"], ["miho"] if highlight else [])
-    return plot_gap(runs, curves, "evaluations", ax, 100.0, GRID, styles)
+    return plot_gap(runs, curves, ax, 100.0, GRID, styles)
 
 
 def test_the_line_is_the_median_of_the_relative_gap() -> None:
@@ -70,7 +70,8 @@ def test_only_highlighted_methods_have_a_band() -> None:
 
 
 def test_each_problem_has_a_panel_and_an_unknown_optimum_a_star() -> None:
-    figure = error_curves(*arena(methods(4), 3, 2), highlight=["miho"], note="small size")
+    others = ["hyperband", "dehb", "gbo_small"]
+    figure = error_curves(*arena(["miho", *others], 3, 2), note="small size")
     written = texts(figure)
     assert len(figure.axes) == 3
     assert "pacejka-sample_a-wide" in written

@@ -24,7 +24,7 @@ ERT = pd.DataFrame(
 
 def drawn(rows: pd.DataFrame, order: pd.DataFrame | None = None) -> Figure:
     figure = Figure()
-    plot_ert(rows, figure.subplots(), axis="evaluations", order=order)
+    plot_ert(rows, figure.subplots(), order=order)
     return figure
 
 
@@ -56,7 +56,7 @@ def test_another_order_can_be_given() -> None:
 
 
 def test_colours_are_logarithms_of_the_ratio() -> None:
-    mesh = plot_ert(ERT, Figure().subplots(), axis="evaluations")
+    mesh = plot_ert(ERT, Figure().subplots())
     ratios = np.ma.filled(np.ma.asarray(mesh.get_array()), np.nan)
     expected = [[0, np.log10(2)], [np.nan, 0], [np.log10(42), np.nan]]
     np.testing.assert_allclose(ratios, expected, atol=1e-12)

@@ -76,7 +76,7 @@ def test_a_clique_of_strangers_is_refused() -> None:
 def speed_up_panel(**changes: float) -> Axes:
     row = {"method": "miho", "rival": "random", "ratio": 3.0, "low": 2.0, "high": 5.0,
            "problems": 7, "only_method": 2, "only_rival": 1} | changes  # fmt: skip
-    return plot_speed_up(pd.DataFrame([row]), Figure().subplots(), method="miho", axis="seconds")
+    return plot_speed_up(pd.DataFrame([row]), Figure().subplots(), method="miho")
 
 
 def dot(ax: Axes) -> str:
@@ -125,7 +125,7 @@ def test_figures_are_drawn_from_the_frames_of_the_statistics() -> None:
     figures = [
         area_figure(areas),
         critical_difference_diagram(ranked, cd, cliques(ranked, cd), sample=sample),
-        speed_up_figure(pairs),
+        speed_up_figure(pairs, method="miho"),
     ]
     assert rows(figures[1].axes[0]) == [STYLES[method].name for method in ranked["optimizer"]]
     assert f"mean rank over {sample} (1: best)" in {
