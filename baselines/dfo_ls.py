@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.methods.least_squares import check_starts, multi_start
+from miho.methods.least_squares import MultiStart
 from miho.methods.unit_box import UnitBox
-from miho.optim import Optimizer, Oracle, UnusableValueError
+from miho.optim import Oracle, UnusableValueError
 from miho.quantities import Array
 from miho.validate import positive, whole
 
@@ -31,7 +31,7 @@ run."""
 
 
 @dataclass(frozen=True)
-class DFOLS(Optimizer):
+class DFOLS(MultiStart):
     """DFO-LS (Cartis, Fiala, Marteau and Roberts, 2019), by the authors' library.
 
     A trust-region method with a linear model of the residuals that interpolates d + 1 points, in
@@ -73,7 +73,7 @@ class DFOLS(Optimizer):
     most: int = 1000
 
     def __post_init__(self) -> None:
-        check_starts(self.screen, self.starts, self.rounds)
+        self.check_starts()
         positive("smallest", self.smallest)
         if not self.smallest < self.radius <= 0.5:
             raise ValueError(f"radius is {self.radius!r}; expected above smallest, at most 0.5")
@@ -103,7 +103,7 @@ class DFOLS(Optimizer):
                     return False
             return bool(solution.flag == solution.EXIT_SUCCESS)
 
-        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+        self.descend_from_best(oracle, rng, solve)
 
 
 class _ScaledResiduals:

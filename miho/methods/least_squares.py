@@ -22,7 +22,59 @@ TICK = 1e-6
 
 
 @dataclass(frozen=True)
-class LeastSquares(Optimizer):
+class MultiStart(Optimizer):
+    """Abstract base class of methods that screen configurations and descend from the best."""
+
+    screen: int = 500
+    starts: int = 10
+    rounds: int | None = 3
+
+    def check_starts(self) -> None:
+        """Raise ValueError unless these settings are valid."""
+        whole("screen", self.screen, 1, LARGEST_BATCH)
+        whole("starts", self.starts, 1, LARGEST_BATCH)
+        if self.rounds is not None:
+            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+
+    def descend_from_best(
+        self, oracle: Oracle, rng: np.random.Generator, solve: Callable[[Array], bool]
+    ) -> None:
+        """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times.
+
+        If `rounds` is None, only the budget stops it. `solve` returns whether it converged; each
+        call is recorded as a descent of the run. Screening a round uses at most SCREENING of the
+        remaining evaluations and seconds, so that a slow model gets its descents too.
+        """
+        space = oracle.space
+        coordinates = space.initial(self.screen)
+        for _ in count() if self.rounds is None else range(self.rounds):
+            thetas = space.decode(coordinates)
+            losses = screening_losses(oracle, thetas)
+            oracle.starts.screened += losses.size
+            for i in np.argsort(losses, kind="stable")[: self.starts]:
+                if not np.isfinite(losses[i]):
+                    break
+                with ending_where_unusable(), oracle.starts.descent() as descent:
+                    descent.converged = solve(thetas[i])
+            coordinates = space.sample(self.screen, rng)
+
+
+@dataclass(frozen=True)
+class SolverStarts(MultiStart):
+    """Abstract base class of methods that descend by one of SciPy's least-squares solvers."""
+
+    loads = ("scipy.optimize",)
+    tolerance: float = 1e-10
+    method: str = "trf"
+
+    def __post_init__(self) -> None:
+        self.check_starts()
+        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
+        one_of("method", self.method, METHODS)
+
+
+@dataclass(frozen=True)
+class LeastSquares(SolverStarts):
     """Screen random configurations, then run one of SciPy's solvers from the best.
 
     The first round screens the common initial configurations. Screening uses at most a fifth of the
@@ -50,18 +102,6 @@ class LeastSquares(Optimizer):
         If a setting is out of its range.
     """
 
-    loads = ("scipy.optimize",)
-    screen: int = 500
-    starts: int = 10
-    rounds: int | None = 3
-    tolerance: float = 1e-10
-    method: str = "trf"
-
-    def __post_init__(self) -> None:
-        check_starts(self.screen, self.starts, self.rounds)
-        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
-        one_of("method", self.method, METHODS)
-
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times."""
 
@@ -69,43 +109,7 @@ class LeastSquares(Optimizer):
             look, slopes = oracle.residuals, oracle.jacobian
             return descend(look, slopes, theta, oracle.space, self.tolerance, self.method)
 
-        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
-
-
-def check_starts(screen: int, starts: int, rounds: int | None) -> None:
-    """Raise ValueError unless these settings of `multi_start` are valid."""
-    whole("screen", screen, 1, LARGEST_BATCH)
-    whole("starts", starts, 1, LARGEST_BATCH)
-    if rounds is not None:
-        whole("rounds", rounds, 1, LARGEST_BATCH)
-
-
-def multi_start(
-    oracle: Oracle,
-    rng: np.random.Generator,
-    screen: int,
-    starts: int,
-    rounds: int | None,
-    solve: Callable[[Array], bool],
-) -> None:
-    """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times.
-
-    If `rounds` is None, only the budget stops it. `solve` returns whether it converged; each call
-    is recorded as a descent of the run. Screening a round uses at most SCREENING of the remaining
-    evaluations and seconds, so that a slow model gets its descents too.
-    """
-    space = oracle.space
-    coordinates = space.initial(screen)
-    for _ in count() if rounds is None else range(rounds):
-        thetas = space.decode(coordinates)
-        losses = screening_losses(oracle, thetas)
-        oracle.starts.screened += losses.size
-        for i in np.argsort(losses, kind="stable")[:starts]:
-            if not np.isfinite(losses[i]):
-                break
-            with ending_where_unusable(), oracle.starts.descent() as descent:
-                descent.converged = solve(thetas[i])
-        coordinates = space.sample(screen, rng)
+        self.descend_from_best(oracle, rng, solve)
 
 
 def screening_losses(oracle: Oracle, thetas: Array) -> Array:

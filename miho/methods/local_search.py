@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # loads its subpackages on first use: importing them takes a second
 
-from miho.methods.least_squares import check_starts, multi_start
+from miho.methods.least_squares import MultiStart
 from miho.methods.unit_box import UnitBox
-from miho.optim import Optimizer, Oracle
+from miho.optim import Oracle
 from miho.optim.problem import mean_square
 from miho.quantities import Array
 from miho.validate import positive, whole
@@ -25,7 +25,7 @@ STEP = math.sqrt(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class LBFGSB(Optimizer):
+class LBFGSB(MultiStart):
     """Multistart L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995) in the unit cube.
 
     Rounds of screening and starting points are as in `LeastSquares`. A least-squares problem
@@ -54,8 +54,6 @@ class LBFGSB(Optimizer):
     """
 
     loads = ("scipy.optimize",)
-    screen: int = 500
-    starts: int = 10
     rounds: int | None = None
     tolerance: float = 1e-10
     memory: int = 10
@@ -63,7 +61,7 @@ class LBFGSB(Optimizer):
     iterations: int = 15_000
 
     def __post_init__(self) -> None:
-        check_starts(self.screen, self.starts, self.rounds)
+        self.check_starts()
         positive("tolerance", self.tolerance)
         for field in ("memory", "line_search", "iterations"):
             whole(field, getattr(self, field), 1)
@@ -91,11 +89,11 @@ class LBFGSB(Optimizer):
             )
             return bool(solution.success)
 
-        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+        self.descend_from_best(oracle, rng, solve)
 
 
 @dataclass(frozen=True)
-class NelderMead(Optimizer):
+class NelderMead(MultiStart):
     """Multistart Nelder-Mead with coefficients that depend on the dimension (Gao and Han, 2012).
 
     Rounds of screening and starting points are as in `LeastSquares`; the search is SciPy's, in the
@@ -120,15 +118,13 @@ class NelderMead(Optimizer):
     """
 
     loads = ("scipy.optimize",)
-    screen: int = 500
-    starts: int = 10
     rounds: int | None = None
     tolerance: float = 1e-8
     edge: float = 0.05
     evaluations: int = 1000
 
     def __post_init__(self) -> None:
-        check_starts(self.screen, self.starts, self.rounds)
+        self.check_starts()
         positive("tolerance", self.tolerance)
         positive("edge", self.edge)
         if self.edge > 0.5:
@@ -162,7 +158,7 @@ class NelderMead(Optimizer):
             )
             return bool(solution.success)
 
-        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+        self.descend_from_best(oracle, rng, solve)
 
 
 class _ScaledLoss:

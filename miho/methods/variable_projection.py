@@ -6,16 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend
-from miho.methods.least_squares import LeastSquares, check_starts, multi_start
-from miho.optim import Optimizer, Oracle, Space
+from miho.methods.descent import descend
+from miho.methods.least_squares import LeastSquares, SolverStarts
+from miho.optim import Oracle, Space
 from miho.optim.linear_part import LinearPart, solve_linear_part
 from miho.quantities import Array
-from miho.validate import at_least, one_of
 
 
 @dataclass(frozen=True)
-class VariableProjection(Optimizer):
+class VariableProjection(SolverStarts):
     """Multistart least squares over the nonlinear parameters only (Golub and Pereyra, 1973).
 
     At every evaluation the linear parameters have their best values in the box. Derivatives are
@@ -37,18 +36,6 @@ class VariableProjection(Optimizer):
     ValueError
         If a setting is out of its range.
     """
-
-    loads = ("scipy.optimize",)
-    screen: int = 500
-    starts: int = 10
-    rounds: int | None = 3
-    tolerance: float = 1e-10
-    method: str = "trf"
-
-    def __post_init__(self) -> None:
-        check_starts(self.screen, self.starts, self.rounds)
-        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
-        one_of("method", self.method, METHODS)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times."""
@@ -73,7 +60,7 @@ class VariableProjection(Optimizer):
             look, slopes = reduced.residuals, reduced.jacobian
             return descend(look, slopes, start, subspace, self.tolerance, self.method)
 
-        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+        self.descend_from_best(oracle, rng, solve)
 
 
 class _Reduced:
