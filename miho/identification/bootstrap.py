@@ -13,6 +13,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import events_of
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised
+from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.parallel.blocks import in_blocks
 from miho.parallel.pool import Pool
@@ -95,6 +96,32 @@ def bootstrap(
         estimates[k] = estimate
         progress()
     return estimates
+
+
+def replicated(
+    problem: CurveFit,
+    optima: Sequence[Linearised],
+    replicates: int,
+    seed: int,
+    progress: Callable[[str], object],
+    pool: Pool | None,
+) -> Array:
+    """Estimates (replicates, d) from resampled rows; dependent rows are resampled in blocks.
+
+    Unidentifiable parameters do not change. Estimates of dependent rows are stretched if there is a
+    single optimum.
+    """
+    at = optima[0]
+    rng = stream("bootstrap", problem.dataset.digest, seed)
+    block = 1 if at.dependence is None else block_length(at.dependence.errors)
+    fixed = np.flatnonzero(at.unidentifiable).tolist()
+    estimates = bootstrap(
+        problem, at.theta, replicates, rng, lambda: progress("bootstrap"), fixed, block, pool,
+        [other.theta for other in optima[1:]],
+    )  # fmt: skip
+    if at.dependence is None or len(optima) > 1:
+        return estimates
+    return stretched(estimates, at, problem.space)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from miho.identification.alternatives import minima_at
-from miho.identification.bootstrap import block_length, bootstrap, stretched
+from miho.identification.bootstrap import replicated
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import REMEDY
@@ -30,17 +30,11 @@ from miho.identification.refit import (
     seconds_of_refit,
 )
 from miho.identification.report import Report, rounding_of
-from miho.identification.stated import (
-    reported_space,
-    reported_uncertainty,
-    tied_names,
-    tied_slopes,
-)
+from miho.identification.stated import profiled_parameters, reported_space
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import conditions, leave_one_out, root_mean_square
 from miho.identification.within_noise import optima_within_noise
 from miho.optim import Descents, Minimum, in_optimum
-from miho.optim.seeds import stream
 from miho.parallel import Pool, Workers, open_pool
 from miho.parallel.blocks import in_blocks
 from miho.parallel.process_executor import WorkerLostError
@@ -162,9 +156,9 @@ def make_report(
             at = optima[0]
             # Fits without some rows, and the bootstrap, use the time that is left.
             left_out, unfinished = _left_out(problem, at, work)
-            estimates = (
-                _bootstrapped(problem, optima, replicates, seed, work) if replicates else None
-            )
+            estimates = None
+            if replicates:
+                estimates = replicated(problem, optima, replicates, seed, progress, pool)
             earlier, best = best, _best_of_replicates(problem, best, estimates, deadline)
             if best is earlier:
                 break
@@ -267,39 +261,16 @@ def _best_of_replicates(
     return best.or_better(problem, lowest, BOOTSTRAP)
 
 
-def _held(at: Linearised) -> list[int]:
-    """The unidentifiable parameters, which refits keep fixed."""
-    return np.flatnonzero(at.unidentifiable).tolist()
-
-
-def _bootstrapped(
-    problem: CurveFit, optima: Sequence[Linearised], replicates: int, seed: int, work: _Work
-) -> Array:
-    """Estimates (replicates, d) from resampled rows; dependent rows are resampled in blocks.
-
-    Estimates of dependent rows are stretched if there is a single optimum.
-    """
-    at = optima[0]
-    rng = stream("bootstrap", problem.dataset.digest, seed)
-    block = 1 if at.dependence is None else block_length(at.dependence.errors)
-    estimates = bootstrap(
-        problem, at.theta, replicates, rng, lambda: work.progress("bootstrap"), _held(at), block,
-        work.pool, [other.theta for other in optima[1:]],
-    )  # fmt: skip
-    if at.dependence is None or len(optima) > 1:
-        return estimates
-    return stretched(estimates, at, problem.space)
-
-
 def _left_out(problem: CurveFit, at: Linearised, work: _Work) -> tuple[pd.DataFrame, list[str]]:
     """Errors on groups of rows, each from a fit without the group, and remarks on missing ones."""
     tables: list[pd.DataFrame] = []
     omitted: list[str] = []
+    held = np.flatnonzero(at.unidentifiable).tolist()
     for condition in conditions(problem):
         work.progress(f"leave one {condition} out")
         try:
             tables.append(
-                leave_one_out(problem, at.theta, condition, _held(at), work.deadline, work.pool)
+                leave_one_out(problem, at.theta, condition, held, work.deadline, work.pool)
             )
         except OutOfTimeError:
             return _stacked(tables), [*omitted, f"errors with {condition} {work.too_late}"]
@@ -340,7 +311,7 @@ def _profiles(
         return curves, []
     possible: dict[str, int | str] = {}
     for optimum in optima:
-        possible |= _profiled_parameters(problem, optimum)
+        possible |= profiled_parameters(problem, optimum)
     names = list(possible) if (by_default if requested is None else requested) else []
     limit = None if requested else work.deadline
     if work.pool is not None:
@@ -394,21 +365,6 @@ def _profiles_by_workers(
     if late:
         omitted.append(f"profile intervals of {', '.join(late)} {work.too_late}")
     return curves, omitted
-
-
-def _profiled_parameters(problem: CurveFit, at: Linearised) -> dict[str, int | str]:
-    """Position or name of the parameters with a finite standard error, the tied ones last."""
-    free, reported = problem.space.names, reported_space(problem.space).names
-    errors = reported_uncertainty(problem, at).standard_errors
-    usable = np.flatnonzero(np.isfinite(errors) & (errors > 0)).tolist()
-    places: dict[str, int | str] = {
-        reported[k]: k if reported[k] == free[k] else reported[k] for k in usable
-    }
-    tied = tied_names(problem)
-    if tied:
-        spread = at.independent.spread(tied_slopes(problem, at.theta, tied))
-        places |= {n: n for n, e in zip(tied, spread, strict=True) if 0 < e < np.inf}
-    return places
 
 
 def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:

@@ -169,6 +169,21 @@ def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
     ]
 
 
+def profiled_parameters(problem: CurveFit, at: Linearised) -> dict[str, int | str]:
+    """Position or name of the parameters with a finite standard error, the tied ones last."""
+    free, reported = problem.space.names, reported_space(problem.space).names
+    errors = reported_uncertainty(problem, at).standard_errors
+    usable = np.flatnonzero(np.isfinite(errors) & (errors > 0)).tolist()
+    places: dict[str, int | str] = {
+        reported[k]: k if reported[k] == free[k] else reported[k] for k in usable
+    }
+    tied = tied_names(problem)
+    if tied:
+        spread = at.independent.spread(tied_slopes(problem, at.theta, tied))
+        places |= {n: n for n, e in zip(tied, spread, strict=True) if 0 < e < np.inf}
+    return places
+
+
 def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
     """Values of all parameters by name at free ones (f,), the parameters of the model first."""
     model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))

@@ -101,10 +101,10 @@ def test_a_better_optimum_of_the_bootstrap_is_reported(
 ) -> None:
     """One replicate has left for the better basin; the others are those of the fit."""
 
-    def replicates(problem, theta, count, *_):
-        return np.vstack([np.tile(theta, (count - 1, 1)), [0.55, 3.9]])
+    def replicates(problem, optima, count, *_):
+        return np.vstack([np.tile(optima[0].theta, (count - 1, 1)), [0.55, 3.9]])
 
-    monkeypatch.setattr(report_steps, "bootstrap", replicates)
+    monkeypatch.setattr(report_steps, "replicated", replicates)
     report = misled.report(profiles=False, replicates=20)
     assert report.conclusion.doubt.startswith(
         "the bootstrap found this optimum after 30 independent searches had ended"
