@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from miho.analysis.compare.running_time import NEAR_BEST, at_factor, references
 from miho.analysis.compare.significance import ranks
-from miho.analysis.curves import Array, log_grid, positions, step
+from miho.analysis.curves import log_grid, positions, step
 from miho.analysis.figures.house import AXIS_LABELS, EndLabel, caption, draw_end_labels, time_label
 from miho.analysis.styles import MethodStyle, styles_of, with_emphasis
 from miho.analysis.tidy import comparison, require_columns
 from miho.analysis.timing import Clock
 from miho.figures.style import WIDTH, house_style
+from miho.quantities import Array
 
 COLUMNS = 4
 GAP_FLOOR = 1e-6

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from miho.analysis.curves import Array
 from miho.analysis.figures.house import caption
 from miho.analysis.styles import MethodStyle, styles_of
 from miho.analysis.text import number
 from miho.analysis.tidy import require_columns
 from miho.figures.style import WIDTH, house_style
+from miho.quantities import Array
 
 ROW = 0.19  # inches per method where a row is one line of 8 pt text
 DARK, LIGHT, GUIDE = "#222222", "#9a9a9a", "#d8d8d8"

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.app.parts import model_files
 from experiments.app.progress import at_work, progress
@@ -17,8 +16,6 @@ from miho.identification.report_steps import SECONDS
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import Budget, Descents, Outcome, Parameter, RunRecord, minimize
 from miho.study import StoredRun, single_thread
-
-Array = NDArray[np.float64]
 
 CHECK_SECONDS = 60.0
 CHECK = VariableProjection(screen=20, starts=1, rounds=100)

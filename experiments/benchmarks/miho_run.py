@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.app.build import build
 from experiments.app.compose import composed
@@ -28,9 +27,8 @@ from miho.identification import CurveFit
 from miho.models import Model
 from miho.optim import MIHO, Problem, RunRecord, Space, hyperband_table, minimize
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.vehicle.models import Pacejka
-
-Array = NDArray[np.float64]
 
 ROUNDS = 5
 """Number of runs of each fast form."""

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.app.build import build
 from experiments.app.compose import composed
@@ -24,8 +23,7 @@ from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
 from miho.compiled import Block, Climb, Kernel, Rows, Steps
 from miho.optim import Budget, Oracle, Problem, Space, minimize
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 BATCHES = (1, 10, 100, 1000)
 

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from miho.analysis.compare.running_time import FACTORS, NEAR_BEST, running_times
 from miho.optim.minimize import Outcome
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 SAME_OPTIMUM = 1e-4
 """Largest relative difference of two losses of the same optimum. Error bars are wider, and the

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.app.build import build
 from experiments.app.compose import composed
@@ -26,12 +25,11 @@ from experiments.check import reference_data
 from miho.data import Dataset
 from miho.data.csv import read_numbers
 from miho.optim import minimize
+from miho.quantities import Array
 from miho.vehicle.data import DrivingLog, load_driving_log
 from miho.vehicle.data.braking_samples import braking_samples
 from miho.vehicle.data.synthetic_brake import DRAG, EMBEDDED_BRAKE, MASS, RESISTANCE
 from miho.vehicle.models import Brake, BrakeDeceleration
-
-Array = NDArray[np.float64]
 
 FILE = "av21_putnam/Putnam_park2023_run4_2.csv"
 PUBLISHED = np.array([2.52e-6, 5.9e-4, 1.24])  # the AV-21's law on this log, c_p per Pa

@@ -46,9 +46,8 @@ from miho.identification.refit import refit
 from miho.models import Model
 from miho.optim import Parameter, Space
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.vehicle.models import Pacejka
-
-Array = NDArray[np.float64]
 
 TRUTH = np.array([17.35, 1.665, 2655.7, -0.0074, 116.4])
 NOISE = 391.33

@@ -14,16 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.check import reference_data
 from experiments.driving.car import identified_engine
+from miho.quantities import Array
 from miho.vehicle.data.synthetic_engine import true_torque
 from miho.vehicle.driving.assembly.engine import IdentifiedEngine, truth_error
 from miho.vehicle.models import EngineMap, TorqueCubic
 from miho.vehicle.models.engine import RPM
-
-Array = NDArray[np.float64]
 
 RANGES = ((1000, 7000), (3500, 7000))
 REGIONS = {"learned, 5 to 20 %": (0.05, 0.2), "0 to 30 %": (0.0, 0.3), "30 to 100 %": (0.3, 1.0)}

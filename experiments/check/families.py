@@ -10,13 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.models import FunctionModel
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Draw = tuple[list[Array], list[float], float]
 LOUDER = 0.3, 2.0
 """Range of the factor between the noise of a draw and the noise of its family."""

@@ -15,7 +15,6 @@ import argparse
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.app.build import build
 from experiments.app.compose import composed
@@ -23,8 +22,7 @@ from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from miho import Budget, minimize
 from miho.optim import LeastSquaresProblem, Optimizer
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 METHODS = ("gbo_small", "gbo_large")
 

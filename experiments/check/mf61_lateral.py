@@ -17,7 +17,6 @@ from time import process_time
 import numpy as np
 import pandas as pd
 import scipy.optimize
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from experiments.app.build import build, build_space
@@ -27,6 +26,7 @@ from experiments.check import reference_data
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.identification import CurveFit
 from miho.optim import Budget, Space, minimize
+from miho.quantities import Array
 from miho.vehicle.data import embedded_tire, sample_lateral
 from miho.vehicle.models import (
     LateralMagicFormula,
@@ -39,8 +39,6 @@ from miho.vehicle.models import (
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.simplified_tire import SLIP
-
-Array = NDArray[np.float64]
 
 STARTS = 20
 LIMIT = 60  # steps of one start

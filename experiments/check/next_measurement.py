@@ -15,7 +15,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments.check.coverage import NOISE, SPACE, TRUTH
@@ -23,9 +22,8 @@ from miho.data import Dataset
 from miho.identification import CurveFit, make_report, optimal_design
 from miho.identification.refit import refit
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.vehicle.models import Pacejka
-
-Array = NDArray[np.float64]
 
 PRESENT = np.linspace(-0.15, 0.15, 100)
 CANDIDATES = np.linspace(-0.3, 0.3, 601)

@@ -23,14 +23,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import scipy.optimize
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from baselines.problems import PublishedFit, PublishedModel, published_fit, published_names
 from miho.identification import CurveFit, make_report
 from miho.optim import MIHOGN, Parameter, Space, minimize
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Estimate = tuple[Array, Array]
 """Parameters (d,) and their standard errors (d,)."""
 

@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments.app.build import build
@@ -32,9 +31,8 @@ from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.study import single_thread
-
-Array = NDArray[np.float64]
 
 PROBLEMS = Path(__file__).parents[2] / "conf" / "problem"
 WORKERS = 2

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from omegaconf import OmegaConf
 
 from baselines.problems import PublishedFit, PublishedModel, ResidualSystem, published_fit
@@ -36,8 +35,7 @@ from experiments.check.published_problems import (
     problem_yaml,
     write,
 )
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 AROUND = 10.0
 """Half the width of a box in multiples of max(1, |x|) at the starting value x. With 10, all

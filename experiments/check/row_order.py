@@ -46,9 +46,9 @@ from miho.identification.row_order import covering_rows, merged, row_order
 from miho.models import FunctionModel
 from miho.optim import Parameter, Space
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.study import single_thread
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 PER_PARAMETER = (4, 12, 36)

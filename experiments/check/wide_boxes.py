@@ -14,15 +14,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from experiments.benchmarks.bars import machine
 from miho import MIHOGN, Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.models import FunctionModel
+from miho.quantities import Array
 from miho.study import single_thread
 
-Array = NDArray[np.float64]
 TIMES = 10.0, 1e3, 1e6, 1e9
 RIGHT = 1e-4
 

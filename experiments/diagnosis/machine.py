@@ -15,11 +15,10 @@ import threadpoolctl
 from numpy.typing import NDArray
 
 from miho.optim import Budget, Parameter, Problem, RandomSearch, RunRecord, Space, minimize
+from miho.quantities import Array
 from miho.study import single_thread
 from miho.study.contention import ReferenceWork, stamped
 from miho.study.environment import machine_seconds
-
-Array = NDArray[np.float64]
 
 PAIRS, SECONDS = 40, 0.02
 CPU_RATIO, WALL_RATIO = (0.95, 1.05), (0.90, 1.10)

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from experiments.app.build import ConfigError, build, plain
@@ -20,6 +19,7 @@ from miho.identification import CurveFit
 from miho.identification.parameters_file import identified_at
 from miho.models import read_parameters
 from miho.models.identified import parameters_text
+from miho.quantities import Array
 from miho.study import write_text
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.assembly.bench import TIRES, assembled
@@ -27,8 +27,6 @@ from miho.vehicle.driving.assembly.engine import DATASETS, IdentifiedEngine, eng
 from miho.vehicle.driving.embedded import embedded_engine, embedded_tires
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 PARAMETERS = "parameters"
 """Folder of the parameters files of a drive, below its root."""

@@ -11,12 +11,11 @@ from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from miho.analysis.tidy import CURVE_COLUMNS, require_columns
 from miho.analysis.variants import setting_columns
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Axis = Literal["seconds", "cpu_seconds", "evaluations"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.analysis.curves import Array
+from miho.quantities import Array
 
 NEAR = 0.8
 """Smallest share of the peak that counts as near the peak."""

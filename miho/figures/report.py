@@ -14,8 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from miho.figures.style import BLUE, COLORS, GREEN, ORANGE, RED, WIDTH, house_style
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 BLACK = "#222222"
 POINTS = (BLUE, RED, GREEN, ORANGE, *COLORS[4:6])

@@ -17,8 +17,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.analysis.curves import Axis, positions, step
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Picks = NDArray[np.intp]
 
 ENDED_BY_ITSELF = ("converged", "brackets", "failed")

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from miho.analysis.compare import verdict
 from miho.analysis.compare.bootstrap import (
@@ -34,8 +33,8 @@ from miho.analysis.text import with_interval
 from miho.analysis.tidy import one_problem
 from miho.analysis.timing import UNITS, Clock, clock_of
 from miho.analysis.variants import base_name, with_names_of
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Row = dict[str, object]
 
 PAPER_RIVALS = ("gbo_small", "gbo_large", "pso_100", "pso_500")

@@ -11,13 +11,11 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from miho.analysis.compare.running_time import at_factor, references
 from miho.analysis.curves import Axis, positions
 from miho.analysis.tidy import comparison, require_columns
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 POINTS = 400
 

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from miho.analysis.compare.bootstrap import RESAMPLES, interval, resample
 from miho.analysis.curves import AXES, Axis, to_target
 from miho.analysis.tidy import comparison, require_columns
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 NEAR_BEST = 1.01
 """A run succeeds if its error is at most this factor times the best known error."""

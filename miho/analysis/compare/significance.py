@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from miho.analysis.compare.bootstrap import RESAMPLES, interval
 from miho.analysis.compare.running_time import at_factor, resampled
 from miho.analysis.curves import Axis
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from miho.analysis.figures.house import caption
 from miho.analysis.figures.paper import Points
 from miho.figures.style import WIDTH, house_style
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 LEVELS = np.arange(-200, 801, 50)
 DASHED = (0, (4, 2))

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.optimize import isotonic_regression
 
-from miho.analysis.curves import Array
 from miho.analysis.styles import MethodStyle
 from miho.analysis.timing import Clock
 from miho.figures.style import WIDTH, house_style
+from miho.quantities import Array
 from miho.study import write_bytes
 
 NARROW = 140 / 25.4

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from miho.analysis.compare.size import Methods, chosen
-from miho.analysis.curves import Array, Axis, log_grid, on_grid, summary
+from miho.analysis.curves import Axis, log_grid, on_grid, summary
 from miho.analysis.figures.house import (
     AXIS_LABELS,
     NARROW,
@@ -30,6 +30,7 @@ from miho.analysis.tidy import one_problem, shown_unit
 from miho.analysis.timing import clock_of
 from miho.analysis.variants import named_apart
 from miho.figures.style import WIDTH, house_style
+from miho.quantities import Array
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 TIRE_NAMES = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}

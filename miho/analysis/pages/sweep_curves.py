@@ -15,8 +15,7 @@ from miho.analysis.curves import Axis, positions, step
 from miho.analysis.text import rounded
 from miho.analysis.tidy import shown_unit
 from miho.analysis.timing import Clock
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 QUANTILES = (0.1, 0.5, 0.9)
 DIGITS = 5

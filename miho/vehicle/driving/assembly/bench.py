@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.quantities import Array
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.assembly.engine import DATASETS, engine_of
 from miho.vehicle.driving.grip import Grip
@@ -18,8 +18,6 @@ from miho.vehicle.driving.loaded_axle import LoadedAxle
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models import Axle, Brake, EngineMap
 from miho.vehicle.models.load_scaling import LoadSensitivity, load_sensitivity
-
-Array = NDArray[np.float64]
 
 TIRES = ("lf", "rf", "lr", "rr")
 

@@ -8,16 +8,14 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.quantities import Array
 from miho.vehicle.data import dyno_test
 from miho.vehicle.data.synthetic_engine import DYNO_TRUSTED, true_torque
 from miho.vehicle.models import EngineMap, TorqueCubic, TorqueCurve
 from miho.vehicle.models.engine import RPM
-
-Array = NDArray[np.float64]
 
 DATASETS = MappingProxyType({0.05: "torque_05", 0.15: "torque_15", 0.2: "torque_20"})
 """Embedded datasets of the throttles with torque learned from driving."""

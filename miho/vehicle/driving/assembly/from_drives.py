@@ -8,7 +8,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data import Dataset
 from miho.identification import CurveFit
@@ -27,7 +26,6 @@ from miho.vehicle.models import Pacejka, TorqueCubic
 from miho.vehicle.models.brake_statics import BrakeDeceleration
 from miho.vehicle.models.engine import RPM
 
-Array = NDArray[np.float64]
 Logs = Mapping[str, tuple[DrivingLog, ...]]
 
 SPACES = ("axle_physical", "brake_deceleration", "torque_cubic")
