@@ -22,11 +22,6 @@ class CheckedRun(NamedTuple):
     curve: bytes
     config: bytes
 
-    @property
-    def digest(self) -> str:
-        """SHA-256 of `curve.json`."""
-        return str(self.result["files"][CURVE])
-
 
 @dataclass(frozen=True)
 class Damage:
