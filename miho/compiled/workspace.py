@@ -55,5 +55,5 @@ class Work(NamedTuple):
 
 
 def room_for(d: int, m: int, levels: int) -> int:
-    """Number of elements that the machine needs for the same arrays."""
-    return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
+    """Number of elements that the machine needs for the same arrays, with columns up to eights."""
+    return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 8) + 7

@@ -33,7 +33,7 @@ candidate candidate_at(const search *s, int64_t i) {
 
 int64_t room_beside_residuals(int64_t d, int64_t levels) {
     int64_t side = d + 1;
-    return levels + side * side + (2 * d + 1) * CHUNK + 7 * d + side * (3 * d + 1);
+    return levels + 7 * d + 2 * side * side + 7 + side * whole(2 * d) + (2 * d + 1) * CHUNK;
 }
 
 void divide_room(search *s, double *room, int64_t size) {
@@ -48,11 +48,11 @@ void divide_room(search *s, double *room, int64_t size) {
     for (int k = 0; k < 7; k++, room += d) *vectors[k] = room;
     w->sums = room;
     w->T = w->sums + s->p.levels;
-    w->chunk = w->T + side * side;
+    w->solver.T = w->T + side * side;
+    w->solver.columns = aligned(w->solver.T + side * side);
+    w->chunk = w->solver.columns + side * whole(2 * d);
     w->slopes = w->chunk + side * CHUNK;
-    w->solver.columns = w->slopes + d * CHUNK;
-    w->solver.T = w->solver.columns + side * 2 * d;
-    w->residuals = w->solver.T + side * side;
+    w->residuals = w->slopes + d * CHUNK;
 }
 
 /* Set the rules for the candidates of this phase. */

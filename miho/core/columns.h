@@ -8,6 +8,41 @@ static double in_pairs(const double *sums) {
     return even + ((sums[1] + sums[5]) + (sums[3] + sums[7]));
 }
 
+/* As many numbers as a register of this level has, and their sums in pairs. The functions with them
+   are for whole eights of rows. */
+typedef double wide __attribute__((vector_size(8 * WIDTH), aligned(8), may_alias));
+#define WIDES (8 / WIDTH)
+#define AT(a) ((wide *)((a) + i))[k]
+
+INLINE double wide_in_pairs(const wide *sums) {
+    double each[8];
+    for (int k = 0; k < 8; k++) each[k] = sums[k / WIDTH][k % WIDTH];
+    return in_pairs(each);
+}
+
+/* Product sums of the first of n columns and each of them. */
+static void product_sums(double *columns, int64_t stride, int64_t rows, int64_t n, double *out) {
+    for (int64_t j = 0; j < n; j++) {
+        wide sums[WIDES] = {0};
+        for (int64_t i = 0; i < rows; i += 8)
+            for (int k = 0; k < WIDES; k++) sums[k] += AT(columns) * AT(columns + j * stride);
+        out[j] = wide_in_pairs(sums);
+    }
+}
+
+/* Subtract `factor` times b from a. Returns the product sum of the result and `other`, or itself if
+   this is NULL. */
+INLINE double subtract_and_sum(double *a, double factor, double *b, double *other, int64_t rows) {
+    wide sums[WIDES] = {0};
+    for (int64_t i = 0; i < rows; i += 8)
+        for (int k = 0; k < WIDES; k++) {
+            wide value = AT(a) - factor * AT(b);
+            AT(a) = value;
+            sums[k] += value * (other ? AT(other) : value);
+        }
+    return wide_in_pairs(sums);
+}
+
 static double product_sum(const double *a, const double *b, int64_t rows) {
     double sums[8] = {0};
     int64_t i = 0;
@@ -23,21 +58,28 @@ static void subtract(double *a, double factor, const double *b, int64_t rows) {
 
 /* Update T (side, side), the triangular factor of all previous rows, by more rows, given as n
    columns. By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix
-   Computations, section 5.2), chunk by chunk. Overwrites the columns; incomplete after a stop. */
+   Computations, section 5.2), chunk by chunk. The rows are whole eights: added zeros change no bit.
+   One pass over a column reflects it and sums its products with the next reflected one. Overwrites
+   the columns; incomplete after a stop. */
 static void fold(double *T, int64_t side, double *columns, int64_t stride, int64_t rows, int64_t n,
                  watch *by) {
+    double sums[MOST_PARAMETERS + 1]; /* products of column k and each from k on */
+    product_sums(columns, stride, rows, n, sums);
     for (int64_t k = 0; k < n && !stops_after((double)(rows * (n - k)), by); k++) {
-        double *v = columns + k * stride, *row = T + k * side;
-        double square = product_sum(v, v, rows), diagonal = row[k];
-        if (square < SMALLEST) continue; /* a column of zeros: 1 / square would overflow */
+        double *v = columns + k * stride, *next = v + stride, *row = T + k * side;
+        double square = sums[k], diagonal = row[k];
+        if (square < SMALLEST) { /* a column of zeros: 1 / square would overflow */
+            product_sums(next, stride, rows, n - k - 1, sums + k + 1);
+            continue;
+        }
         double norm = -__builtin_copysign(__builtin_sqrt(diagonal * diagonal + square), diagonal);
         double first = diagonal - norm, factor = 2.0 / (first * first + square);
         row[k] = norm;
         for (int64_t j = k + 1; j < n; j++) {
-            double *other = columns + j * stride;
-            double product = (first * row[j] + product_sum(v, other, rows)) * factor;
+            double product = (first * row[j] + sums[j]) * factor;
             row[j] -= product * first;
-            subtract(other, product, v, rows);
+            sums[j] = j == k + 1 ? subtract_and_sum(next, product, v, NULL, rows)
+                : subtract_and_sum(columns + j * stride, product, v, next, rows);
         }
     }
 }

@@ -117,7 +117,8 @@ static void fill(search *s, candidate *c, int only_linear) {
         } else {
             p->residuals(p->value_tape, w->theta, p->X, p->N, p->y, start, start + rows, last);
         }
-        p->sums->fold(w->T, d + 1, w->chunk, CHUNK, rows, n + 1, w->solver.by);
+        for (int64_t k = 0; k <= n; k++) pad(w->chunk + k * CHUNK, rows);
+        p->sums->fold(w->T, d + 1, w->chunk, CHUNK, whole(rows), n + 1, w->solver.by);
         if (is_stopped(s)) return;
     }
 }

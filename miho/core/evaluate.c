@@ -15,22 +15,33 @@ static int rows_of_block(const tape *t) {
     return t->registers - t->inputs > MANY_REGISTERS ? MOST_ROWS / 2 : MOST_ROWS;
 }
 
+/* Fill registers with scalars: with the constants, or with values that depend on parameters. */
+static void fill(const tape *t, int constants, workspace *w) {
+    for (int k = 0; k < t->fills; k++) {
+        int32_t from = t->fill[2 * k + 1];
+        double *o = w->registers[t->fill[2 * k]];
+        if ((from < t->constants) == constants)
+            for (int i = 0; i < w->rows; i++) o[i] = w->scalars[from];
+    }
+}
+
 /* Room for blocks of this number of rows, false without memory. Only `workspace.registers` has to
    be freed. */
 static int allocate_rows(const tape *t, int rows, workspace *w) {
     size_t pointers = (size_t)t->registers + t->scalars;
     size_t of_work = t->registers - t->inputs - t->results + 1;
-    w->rows = rows;
+    w->rows = (int)whole(rows);
     size_t before = pointers * sizeof(double *) + t->scalars * sizeof(double) + 64;
     w->registers = malloc(before + of_work * w->rows * sizeof(double));
     if (!w->registers) return 0;
     w->each_scalar = w->registers + t->registers;
     w->scalars = (double *)(w->each_scalar + t->scalars);
-    w->work = (double *)(((uintptr_t)(w->scalars + t->scalars) + 63) / 64 * 64);
+    w->work = aligned(w->scalars + t->scalars);
     for (int k = 0; k < t->scalars; k++) w->each_scalar[k] = w->scalars + k;
     for (int k = t->inputs + t->results; k < t->registers; k++)
         w->registers[k] = w->work + (size_t)(k - t->inputs - t->results + 1) * w->rows;
     memcpy(w->scalars, t->constant, t->constants * sizeof(double));
+    fill(t, 1, w);
     return 1;
 }
 
@@ -40,10 +51,7 @@ static int allocate(const tape *t, workspace *w) { return allocate_rows(t, rows_
 static void start(const tape *t, const double *theta, workspace *w) {
     memcpy(w->scalars + t->constants, theta, t->parameters * sizeof(double));
     t->level->run(t->code, t->code + t->once, w->each_scalar, w->scalars, 1);
-    for (int k = 0; k < t->fills; k++) {
-        double *o = w->registers[t->fill[2 * k]], value = w->scalars[t->fill[2 * k + 1]];
-        for (int i = 0; i < w->rows; i++) o[i] = value;
-    }
+    fill(t, 0, w);
 }
 
 /* All results of rows i to i + rows, at most a block, at intervals of `stride` numbers. */
@@ -113,8 +121,9 @@ void tape_residuals(const tape *t, const double *theta, const double *X, int64_t
 void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
                   int64_t j, double *out, int64_t stride) {
     workspace w;
-    /* Few rows: registers side by side share the first-level cache. */
-    if (!allocate_rows(t, fewer((j - i + 7) / 8 * 8, rows_of_block(t)), &w)) { /* non-finite residuals end a descent */
+    /* Few rows: registers side by side share the first-level cache. Without memory the residuals are
+       not finite, which ends a descent. */
+    if (!allocate_rows(t, fewer(j - i, rows_of_block(t)), &w)) {
         for (int k = 0; k < t->results; k++) not_a_number(out + k * stride, j - i);
         return;
     }

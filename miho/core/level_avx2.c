@@ -3,6 +3,7 @@
 #include <stdint.h>
 #include <string.h>
 #define LEVEL avx2
+#define WIDTH 4
 #if defined(__x86_64__) && defined(__clang__)
 #pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
 #elif defined(__x86_64__) && defined(__GNUC__)

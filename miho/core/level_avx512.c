@@ -2,6 +2,7 @@
 #include <stdint.h>
 #include <string.h>
 #define LEVEL avx512
+#define WIDTH 8
 #if defined(__x86_64__) && defined(__clang__)
 #pragma clang attribute push( \
     __attribute__((target("avx2,avx512f,avx512dq,avx512vl,avx512bw"))), apply_to = function)

@@ -74,14 +74,6 @@ typedef struct {
     int stopped;
 } fitter;
 
-/* Sums have eight lanes: rows of zeros up to a multiple of eight do not change their bits, and are
-   faster than a remainder. */
-static int64_t whole(int64_t rows) { return (rows + 7) / 8 * 8; }
-
-static void pad(double *column, int64_t rows) {
-    for (int64_t i = rows; i < whole(rows); i++) column[i] = 0.0;
-}
-
 static void spend(fitter *w, double operations) {
     w->stopped = stops_after(operations, w->by);
 }
@@ -385,7 +377,7 @@ static int is_enough(const fitter *w) {
 /* Covariance at the best optimum; 0 if the derivatives are nearly dependent. */
 static int set_covariance(fitter *w, double *out) {
     const many_data *data = w->data;
-    int64_t d = data->d, side = d + 1, n = 0;
+    int64_t d = data->d, side = d + 1, stride = whole(2 * d), n = 0;
     double *columns = w->solver.columns, *T = w->solver.T, *norms = w->scale, *free = w->step;
     for (int64_t k = 0; k < d * d; k++) out[k] = NAN;
     for (int64_t k = 0; k < d; k++)
@@ -400,26 +392,27 @@ static int set_covariance(fitter *w, double *out) {
         norms[j] = sqrt(square);
         if (!isfinite(square) || !(square > 0.0)) return 0;
         for (int64_t row = 0; row < d; row++)
-            columns[j * 2 * d + row] = row <= k ? w->best.R[row * side + k] / norms[j] : 0.0;
+            columns[j * stride + row] = row <= k ? w->best.R[row * side + k] / norms[j] : 0.0;
+        pad(columns + j * stride, d);
         if (data->log[k]) norms[j] /= w->best.theta[k];
     }
     memset(T, 0, (size_t)(side * side) * sizeof(double));
-    w->solver.level->fold(T, side, columns, 2 * d, d, n, NULL);
+    w->solver.level->fold(T, side, columns, stride, whole(d), n, NULL);
     for (int64_t j = 0; j < n; j++)
         if (fabs(T[j * side + j]) < DEPENDENT) return 0;
     /* Inverse of the factor, column by column, in place of the columns. */
     for (int64_t j = 0; j < n; j++)
         for (int64_t i = j; i >= 0; i--) {
             double value = i == j ? 1.0 : 0.0;
-            for (int64_t k = i + 1; k <= j; k++) value -= T[i * side + k] * columns[j * 2 * d + k];
-            columns[j * 2 * d + i] = value / T[i * side + i];
+            for (int64_t k = i + 1; k <= j; k++) value -= T[i * side + k] * columns[j * stride + k];
+            columns[j * stride + i] = value / T[i * side + i];
         }
     double variance = w->best.squares / (double)(w->rows - n);
     for (int64_t i = 0; i < n; i++)
         for (int64_t j = i; j < n; j++) {
             double value = 0.0;
             for (int64_t k = j; k < n; k++)
-                value += columns[k * 2 * d + i] * columns[k * 2 * d + j];
+                value += columns[k * stride + i] * columns[k * stride + j];
             value *= variance / (norms[i] * norms[j]);
             out[(int64_t)free[i] * d + (int64_t)free[j]] = value;
             out[(int64_t)free[j] * d + (int64_t)free[i]] = value;
@@ -479,7 +472,7 @@ static int open_room(fitter *w) {
     int64_t look = (L + 1) * w->longest + L * L;
     int keeps = data->shared && !starts->own && number <= MOST_KEPT / look;
     int64_t descents = starts->own ? starts->size : starts->brackets;
-    int64_t size = 17 * d + 4 * side * side + side * 2 * d + side * w->stride + descents +
+    int64_t size = 17 * d + 4 * side * side + descents + 7 + side * (whole(2 * d) + w->stride) +
         (d + 2) * w->longest + look * (keeps ? number : 1);
     double *room = w->low = malloc((size_t)size * sizeof(double));
     w->is_kept = keeps ? calloc((size_t)number, 1) : NULL;
@@ -493,10 +486,10 @@ static int open_room(fitter *w) {
     for (int k = 0; k < 17; k++, room += d) *vectors[k] = room;
     double **const squares[] = {&w->here.R, &w->trial.R, &w->best.R, &w->solver.T};
     for (int k = 0; k < 4; k++, room += side * side) *squares[k] = room;
-    w->solver.columns = room;
-    w->chunk = w->solver.columns + side * 2 * d;
-    w->ends = w->chunk + side * w->stride;
-    w->columns = w->ends + descents;
+    w->ends = room;
+    w->solver.columns = aligned(w->ends + descents);
+    w->chunk = w->solver.columns + side * whole(2 * d);
+    w->columns = w->chunk + side * w->stride;
     w->residuals = w->columns + side * w->longest;
     w->looks = w->residuals + w->longest;
     w->solver.d = d;

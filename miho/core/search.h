@@ -9,7 +9,6 @@
 #include "tape.h"
 
 #define CHUNK 512           /* rows per chunk; derivatives stay in the first-level cache */
-#define MOST_PARAMETERS 4096
 
 /* Stages of a candidate. */
 enum { ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE };
@@ -98,8 +97,8 @@ typedef struct {
     int64_t side, step, n;
 } box_problem;
 
-/* Work arrays of the solver, for at most d parameters: free (d,), solution (d,), columns (d + 1, 2
-   d), T (d + 1, d + 1). The solver stops if `by`, unless it is NULL, says so. */
+/* Work arrays of the solver, for at most d parameters: free (d,), solution (d,), columns (d + 1,
+   whole(2 d)), T (d + 1, d + 1). The solver stops if `by`, unless it is NULL, says so. */
 typedef struct {
     double *free, *solution, *columns, *T;
     int64_t d;
@@ -138,6 +137,10 @@ static inline double larger(double a, double b) { return b > a ? b : a; }
 static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double between(double low, double x, double high) {
     return smaller(larger(x, low), high);
+}
+/* Zeros up to the next multiple of eight, as `fold` takes columns. */
+static inline void pad(double *column, int64_t rows) {
+    for (int64_t i = rows; i % 8; i++) column[i] = 0.0;
 }
 /* Whether a call has to end; its last step is then undone. */
 static inline int is_stopped(const search *s) { return s->w.solver.by && s->w.solver.by->stopped; }

@@ -90,7 +90,8 @@ static void refold(const search *s, const candidate *c, const double *last, watc
         for (int64_t k = 0; k < d; k++)
             copy(c->derivatives + k * m + start, s->w.chunk + k * CHUNK, rows);
         copy(last + start, s->w.chunk + d * CHUNK, rows);
-        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, rows, d + 1, by);
+        for (int64_t k = 0; k <= d; k++) pad(s->w.chunk + k * CHUNK, rows);
+        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, whole(rows), d + 1, by);
     }
 }
 

@@ -10,6 +10,7 @@
 #define MANY_REGISTERS 24   /* with more, only half as many rows stay in the cache */
 #define MOST_REGISTERS 8192
 #define MOST_LENGTH 65536
+#define MOST_PARAMETERS 4096 /* of a fit */
 
 /* Name, and numbers of operands and results; miho/core/tape.py defines each. */
 #define OPERATIONS(X) \
@@ -31,6 +32,13 @@ enum { OPERATIONS(AS_NAME) COUNT_OF_OPERATIONS };
 
 /* operand[1] of the operations from ADD_S to S_DIV is a scalar; all others are registers. */
 typedef struct { int32_t op, operand[4], result[2]; } instruction;
+
+/* The next multiple of eight, and the next address at the beginning of a cache line: vectors across
+   two lines are slow. */
+static inline int64_t whole(int64_t rows) { return (rows + 7) / 8 * 8; }
+static inline double *aligned(void *room) {
+    return (double *)(((uintptr_t)room + 63) / 64 * 64);
+}
 
 struct level;
 struct slopes;

@@ -27,15 +27,13 @@ double square_norm(const box_problem *b, const double *s) {
 
 /* Factor of the free parameters, the others fixed, into room->T; returns their number. */
 static int64_t factor_of_free(const box_problem *b, const double *s, const solver_room *room) {
-    int64_t n = b->n, stride = 2 * room->d, side = room->d + 1, count = 0;
+    int64_t n = b->n, stride = whole(2 * n), side = room->d + 1, count = 0;
+    memset(room->columns, 0, (size_t)((n + 1) * stride) * sizeof(double));
     for (int64_t k = 0; k < n; k++) {
         if (room->free[k] != 1.0) continue;
-        double *column = room->columns + count * stride;
-        for (int64_t row = 0; row < n; row++) {
-            column[row] = row <= k ? b->R[row * b->side + k] : 0.0;
-            column[n + row] = row == k ? b->scale[k] : 0.0;
-        }
-        count++;
+        double *column = room->columns + count++ * stride;
+        for (int64_t row = 0; row <= k; row++) column[row] = b->R[row * b->side + k];
+        column[n + k] = b->scale[k];
     }
     double *last = room->columns + count * stride;
     for (int64_t row = 0; row < n; row++) {
@@ -43,11 +41,9 @@ static int64_t factor_of_free(const box_problem *b, const double *s, const solve
         for (int64_t k = row; k < n; k++)
             if (room->free[k] != 1.0) right += b->R[row * b->side + k] * s[k];
         last[row] = right;
-        last[n + row] = 0.0;
     }
-    for (int64_t j = 0; j <= count; j++)
-        for (int64_t k = 0; k <= count; k++) room->T[j * side + k] = 0.0;
-    room->level->fold(room->T, side, room->columns, stride, 2 * n, count + 1, room->by);
+    memset(room->T, 0, (size_t)((count + 1) * side) * sizeof(double));
+    room->level->fold(room->T, side, room->columns, stride, whole(2 * n), count + 1, room->by);
     return count;
 }
 
