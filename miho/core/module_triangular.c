@@ -34,9 +34,13 @@ PyObject *py_fold(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     double *T = NULL, *columns = NULL;
     int taken = !PyErr_Occurred() && (T = array_of(&all, a[0], "T", 'D', 2, side)) &&
         (columns = array_of(&all, a[1], "columns", 'D', 2, shape)) && are_apart(&all);
-    if (taken && (n < 0 || n > side[0] || n > side[1] || n > shape[0] || rows < 0 || rows > shape[1]))
-        taken = refuse(&all, "expected no more rows and columns than the arrays have");
-    if (taken) highest_level()->fold(T, side[1], columns, shape[1], rows, n, &by);
+    if (taken && (n < 0 || n > side[0] || n > side[1] || n > shape[0] || n > MOST_PARAMETERS + 1 ||
+                  rows < 0 || whole(rows) > shape[1]))
+        taken = refuse(&all, "expected no more rows, in eights, and columns than the arrays have");
+    if (taken) {
+        for (int64_t k = 0; k < n; k++) pad(columns + k * shape[1], rows);
+        highest_level()->fold(T, side[1], columns, shape[1], whole(rows), n, &by);
+    }
     release_arrays(&all);
     return taken ? ended(&by) : NULL;
 }
@@ -72,13 +76,13 @@ PyObject *py_solve_in_box(PyObject *module, PyObject *const *a, Py_ssize_t count
     double *s = array_of(&all, a[5], "s", 'D', 1, &n), *room = NULL;
     int taken = s && take_box_problem(&all, a, n, &b) && are_apart(&all);
     watch by = {is_pressed, NULL, 0.0, 0};
-    int64_t side = n + 1;
-    if (taken && !(room = malloc((size_t)(2 * n + side * (side + 2 * n)) * sizeof(double)))) {
+    int64_t side = n + 1, size = 2 * n + side * (side + whole(2 * n)) + 7;
+    if (taken && !(room = malloc((size_t)size * sizeof(double)))) {
         PyErr_NoMemory();
         taken = 0;
     }
     if (taken) {
-        double *T = room + 2 * n, *columns = T + side * side;
+        double *T = room + 2 * n, *columns = aligned(T + side * side);
         solver_room solver = {room, room + n, columns, T, n, highest_level(), &by};
         solve_in_box(&b, s, &solver);
     }

@@ -35,7 +35,7 @@ def factor(rows: Array, ends: list[int]) -> Array:
     n = rows.shape[1]
     T, start = np.zeros((n, n)), 0
     for end in ends:
-        scratch = np.full((n, end - start + 3), np.nan)
+        scratch = np.full((n, 8 * -(-(end - start) // 8)), np.nan)
         scratch[:, : end - start] = rows[start:end].T
         fold(T, scratch, end - start, n)
         start = end
