@@ -69,7 +69,7 @@ class Rows:
             raise ValueError(
                 f"y has the shape {self.y.shape}; expected (datasets, rows), {OTHERWISE}"
             )
-        self.keys: list[Hashable] = list(range(len(self.y)))
+        self.keys: NDArray[np.int64] = np.arange(len(self.y))
         self.by_name = isinstance(x, Mapping) or hasattr(x, "columns")
         names = [*x] if self.by_name else range(len(x) if isinstance(x, tuple) else 1)
         columns = [x[name] for name in x] if self.by_name else x if isinstance(x, tuple) else (x,)
