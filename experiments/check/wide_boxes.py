@@ -1,10 +1,11 @@
-"""Effect of very wide bounds: four models in boxes of 10 to 1e9 times the true values.
+"""Effect of very wide bounds: curves in boxes of 10 to 1e9 times the true values.
 
 python -m experiments.check.wide_boxes --seeds 20
 
-The bounds of each parameter are 0 and a multiple of its true value; the bounds of the tire's
-curvature are plus and minus that multiple. A run is right if its loss is at most 1e-4 above the
-loss after a descent from the true parameters; it claims an optimum if it ends by evidence.
+The bounds of each parameter are 0 and a multiple of its true value. The bounds of the tire's
+curvature E are plus and minus that multiple; in a second set of boxes the upper one is 1, as for
+real tires. A run is right if its loss is at most 1e-4 above the loss after a descent from the true
+parameters; it claims an optimum if it ends by evidence.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ RIGHT = 1e-4
 class Curve(NamedTuple):
     """A formula of x and parameters, their true values, the measured x, and the noise.
 
-    Parameters named in `signed` have bounds on both sides of zero.
+    Parameters named in `signed` have bounds on both sides of zero, the upper one at most `highest`.
     """
 
     formula: Callable[..., Array]
@@ -37,18 +38,19 @@ class Curve(NamedTuple):
     x: Array
     noise: float
     signed: str = ""
+    highest: float = np.inf
 
     def fit(self, times: float) -> CurveFit:
         """Problem in a box of `times` the true values."""
         rng = np.random.default_rng(5)
         y = self.formula(self.x, *self.true) + self.noise * rng.normal(size=self.x.size)
         names = self.formula.__code__.co_varnames[1 : 1 + len(self.true)]
-        space = Space(
-            tuple(
-                Parameter(name, "", -times * abs(value) * (name in self.signed), times * abs(value))
-                for name, value in zip(names, self.true, strict=True)
-            )
-        )
+        parameters = []
+        for name, value in zip(names, self.true, strict=True):
+            high, signed = times * abs(value), name in self.signed
+            highest = min(high, self.highest) if signed else high
+            parameters.append(Parameter(name, "", -high * signed, highest))
+        space = Space(tuple(parameters))
         data = Dataset("drawn", {"x": self.x, "y": y}, {"x": "", "y": ""}, "y")
         return CurveFit(FunctionModel(self.formula, columns=("x",)), data, space, compiled=True)
 
@@ -66,6 +68,7 @@ def _tire(x: Array, B: float, C: float, D: float, E: float) -> Array:
 CURVES = {
     "decay": Curve(lambda x, a, b: a * np.exp(-b * x), (2.5, 1.3), np.linspace(0, 4, 50), 0.05),
     "tire": Curve(_tire, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E"),
+    "tire, E <= 1": Curve(_tire, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E", 1.0),
     "peak": Curve(
         lambda x, a, c, w: a * np.exp(-(((x - c) / w) ** 2)), (3, 5, 1.2), np.linspace(0, 10, 80),
         0.1,
@@ -96,7 +99,7 @@ def main() -> None:
             wrong = sum(c and not r for c, r in zip(claims, right, strict=True))
             spent = np.median([run.evaluations for run in runs])
             print(
-                f"{name:9s} {times:6.0e} times: {sum(right)} of {arguments.seeds} right, "
+                f"{name:12s} {times:6.0e} times: {sum(right)} of {arguments.seeds} right, "
                 f"{sum(claims)} claims, {wrong} wrong, {spent:.0f} evaluations",
                 flush=True,
             )
