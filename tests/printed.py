@@ -6,9 +6,8 @@ import re
 
 import pytest
 
-DIGITS = 5e-3
-"""Numbers are printed to five digits; solvers of SciPy and other processors move the last ones, and
-standard errors of smooth errors by 3e-3, since their likelihood is flat."""
+DIGITS = 1e-3
+"""Numbers are printed to five digits; solvers of SciPy and other processors move the last ones."""
 EVIDENCE = re.compile(r"Converged: .*?Estimated chance[^\n]*", re.DOTALL)
 """The statement on the search, whose counts may differ where a function runs in NumPy."""
 OMITTED = "..."

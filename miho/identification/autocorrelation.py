@@ -18,8 +18,14 @@ ROWS_PER_COEFFICIENT = 8
 NEAREST = 3.0
 """Largest atanh of a partial autocorrelation, which is then 0.995: beyond, errors drift without
 bound."""
-STEP = 1e-4
-"""Step of differences of the likelihood, in atanh of a partial autocorrelation."""
+STEP, REFINING_STEP = 1e-4, 5e-3
+"""Steps of differences of the likelihood, in atanh of a partial autocorrelation. Of smooth errors
+the likelihood is rounded by 1e-4, so that slopes by the first step are wrong by about 1."""
+REFINEMENTS = 2
+"""Newton steps after a descent, which rounding ends early: standard errors then differ by 1e-4
+between kernels of BLAS in place of 3e-3."""
+INSIGNIFICANT = 0.01
+"""Newton steps may lower twice the logarithm of the likelihood by this."""
 WIDE_STEP = 0.05
 """Step of second differences of the likelihood; rounding errors dominate for smaller ones."""
 ROUNDING = 1e-14
@@ -148,7 +154,8 @@ def autoregression(
     (N, d) (Cheang and Reinsel, JASA 95, 2000).
 
     For very smooth errors, for example of a filtered log, the restricted likelihood can prefer a
-    root next to 1, with a variance that the errors do not have. Burg's model is taken then.
+    root next to 1, with a variance that the errors do not have. Burg's model is taken then. One of
+    the two descents starts at such a root, because the likelihood may have several maxima.
 
     Returns the model, and 2 p models one standard error away along p independent directions of the
     coefficients: first all on one side, then all on the other.
@@ -160,13 +167,7 @@ def autoregression(
     highest = min(highest, max(1, min(errors[own].size for own in series) - 1))
     start = np.arctanh(_burg([errors[own] for own in series], highest, most is not None))
     likelihood = _RestrictedLikelihood(errors, basis, start.size, series)
-    end = scipy.optimize.minimize(
-        likelihood.with_slope,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(-NEAREST, NEAREST)] * start.size,
-    ).x
+    end = likelihood.maximum(start)
     if likelihood.model(end).autocovariances[0] > UNBELIEVABLE * np.mean(errors**2):
         end = start
     information, directions = np.linalg.eigh(likelihood.curvature(end) / 2)
@@ -254,12 +255,33 @@ class _RestrictedLikelihood:
         value = self._freedom * diagonal[:, -1] + diagonal[:, :-1].sum(axis=1) + determinant
         return value, np.exp(diagonal[:, -1]) / self._freedom * self._size
 
-    def with_slope(self, z: Array) -> tuple[float, Array]:
-        """Value and derivatives (p,) at z (p,)."""
-        step = STEP * np.eye(z.size)
-        values = self._values(np.vstack([z, z + step, z - step]))[0]
+    def maximum(self, start: Array) -> Array:
+        """The z (p,) of the highest likelihood, by descents from `start` and from a root near 1."""
+        near = np.append(np.copysign(NEAREST, start[:1]), start[1:])
+        limits = [(-NEAREST, NEAREST)] * start.size
+        ends = [
+            scipy.optimize.minimize(
+                self.with_slope, z, jac=True, method="L-BFGS-B", bounds=limits
+            ).x
+            for z in (start, near)
+        ]
+        end = ends[int(np.argmin(self._values(np.array(ends))[0]))]
+        information, directions = np.linalg.eigh(self.curvature(end))
+        inverse = directions / np.maximum(information, LEAST_INFORMATION) @ directions.T
+        for _ in range(REFINEMENTS):
+            value, slope = self.with_slope(end, REFINING_STEP)
+            refined = np.clip(end - inverse @ slope, -NEAREST, NEAREST)
+            if self._values(refined[None])[0][0] > value + INSIGNIFICANT:
+                break
+            end = refined
+        return np.asarray(end)
+
+    def with_slope(self, z: Array, step: float = STEP) -> tuple[float, Array]:
+        """Value and derivatives (p,) at z (p,), by central differences."""
+        along = step * np.eye(z.size)
+        values = self._values(np.vstack([z, z + along, z - along]))[0]
         high, low = values[1:].reshape(2, -1)
-        return float(values[0]), (high - low) / (2 * STEP)
+        return float(values[0]), (high - low) / (2 * step)
 
     def curvature(self, z: Array) -> Array:
         """Second derivatives (p, p) at z (p,)."""
