@@ -286,6 +286,14 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
     return information;
 }
 
+/* The most that a row says on a change: minus the logarithm of the probability that all of its
+   outputs are outliers. */
+static double evidence_of(const track_sizes *of, const rules_of *rules, const desk *at) {
+    double usable = 0.0;
+    for (int64_t o = 0; o < of->m; o++) usable += isnan(at->y[o]) ? 0.0 : 1.0;
+    return -log_of(rules->number[OUTLIERS]) - (usable - 1.0) * log_of(TOGETHER);
+}
+
 /* Weigh and improve a hypothesis by all outputs. */
 static void learn(const track_sizes *of, population *at, const rules_of *rules, desk *to,
                   int64_t s, int is_best) {
@@ -314,6 +322,21 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
         *share += taught;
     }
     if (is_best) at->number[GAIN] = information;
+}
+
+/* Weigh and improve all hypotheses. A row with a wrong input may fit a change alone, so that
+   no hypothesis gains more on the best one than the row can say. */
+static void learn_all(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                      int64_t best) {
+    double old = at->weight[best];
+    learn(of, at, rules, to, best, 1);
+    double most = at->weight[best] - old + evidence_of(of, rules, to);
+    for (int64_t s = 0; s < of->K; s++) {
+        if (s == best || at->weight[s] <= EMPTY) continue;
+        double limit = at->weight[s] + most;
+        learn(of, at, rules, to, s, 0);
+        if (at->weight[s] > limit) at->weight[s] = limit;
+    }
 }
 
 static int64_t best_of(const track_sizes *of, const population *at) {
@@ -441,8 +464,7 @@ int track_update(const track_sizes *of, const double *numbers, const double *row
         run_tape(of, &at, room, &to);
         note(of, &at, &rules, &to, before);
         to.counts = counts(of, &at, &rules, &to, before);
-        for (int64_t s = 0; s < of->K; s++)
-            if (at.weight[s] > EMPTY) learn(of, &at, &rules, &to, s, s == before);
+        learn_all(of, &at, &rules, &to, before);
     }
     int64_t first, best = judge(of, &at, &rules, &first);
     int due = fmod(at.number[ROW], rules.number[EVERY]) == 0.0;

@@ -304,7 +304,7 @@ class Population:
         J = slopes.parameters * rules.unit
         variance = rules.sigma[:, None] ** 2 + np.sum((slopes.inputs * noise) ** 2, axis=2)
         information = np.sqrt(np.sum((J / rules.sigma[:, None, None]) ** 2, axis=0))
-        best = living[np.argmax(self.weight[living])]
+        best, weights = living[np.argmax(self.weight[living])], self.weight.copy()
         self._note(information[best])
         # A row that informs no watched parameter says nothing on its change.
         watched = rules.watched > 0
@@ -315,16 +315,20 @@ class Population:
             if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
                 self.weight[s] += math.log(SMALLEST)
                 continue
-            weight = self.weight[s]
             taught, gain = self._correct(
                 s, slopes.values[:, s], J[:, s], variance[:, s], free[s], y
             )
             if not counts:
-                self.weight[s] = weight
+                self.weight[s] = weights[s]
             self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
             self.share[s] += taught
             if s == best:
                 self["gain"] = gain
+        # A row with a wrong input may fit a change alone: a row says at most that it is no outlier.
+        usable = np.count_nonzero(~np.isnan(y))
+        most = self.weight[best] - weights[best]
+        most -= math.log(rules.outliers) + (usable - 1) * math.log(TOGETHER)
+        self.weight[living] = np.minimum(self.weight[living], weights[living] + most)
         return np.asarray((free & watched).any(axis=1))
 
     def _note(self, information: Array) -> None:

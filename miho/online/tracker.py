@@ -46,7 +46,8 @@ class TrackerSettings(OnlineMethod):
     hazard : float, optional
         Probability of a fresh hypothesis of a jump.
     outliers : float, optional
-        Share of rows that are outliers.
+        Share of rows that are outliers. The odds of a change rise by at most one over this share
+        in a row with one output, so a smaller share gives a quicker alarm.
     width : float, optional
         Variance of outliers, in variances of the noise.
     threshold : float, optional

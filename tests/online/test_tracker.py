@@ -212,6 +212,24 @@ def test_one_absurd_input_with_noise_does_not_blind_the_tracker(by_machine: bool
     assert abs(states[-1].values["D"] - 0.65) < 0.03
 
 
+@pytest.mark.parametrize("by_machine", [True, False])
+@pytest.mark.parametrize("wrong", [5.0, 1000.0])
+def test_one_wrong_input_is_no_change(wrong: float, by_machine: bool) -> None:
+    """The model is linear in the input, so a change of `a` explains this row alone."""
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.5, 1.5, 300)
+    rows = {"x": x, "y": 2 * x + 1 + SIGMA * rng.standard_normal(300)}
+    run = Tracker(problem_of(line, **rows), {"a": (2.0, 0.1), "b": (1.0, 0.1)})
+    old = run._population
+    run._population = Population(old.layout, old.rules, old.formula, by_machine)
+    run._population.memory[:] = old.memory
+    rows["x"][200] *= wrong
+    states = followed(run, rows)
+    assert not any(state.alarm for state in states)
+    assert all(abs(state.values["a"] - 2.0) < 0.2 for state in states[100:])
+    assert abs(states[210].values["a"] - 2.0) < 0.03
+
+
 def test_several_rows_are_rows_one_by_one() -> None:
     columns, together = tire(), tracker()
     each = followed(tracker(), columns, slice(0, 700))
