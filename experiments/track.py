@@ -24,8 +24,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from experiments.app.console import command
-from experiments.online.live import LiveView
-from experiments.online.session import Session, in_words
+from experiments.online.follow import follow, follow_to_score
 from experiments.online.task import begun, task_of
 
 SETTINGS = {
@@ -37,6 +36,7 @@ SETTINGS = {
     "online.input_noise": "standard deviations of the noise of inputs, such as '{alpha: 0.0005}'",
     "online.period": "time between rows without a column time [s]",
     "online.resume": "continue after the rows of the last session in root",
+    "fresh": "a comparison replaces scores with other code, data, settings or packages",
     "root": "folder of states, parameters, informative rows and page",
 }
 
@@ -45,35 +45,11 @@ def track(cfg: DictConfig) -> None:
     """Feed the method with all rows of the stream, then write the results."""
     several = HydraConfig.get().mode is RunMode.MULTIRUN
     root = Path(HydraConfig.get().runtime.output_dir if several else cfg.root)
-    name = HydraConfig.get().runtime.choices["tracker"]
     task = task_of(cfg)
-    running = begun(cfg, root, task)
-    quiet = several or (cfg.online.live and sys.stdout.isatty())
-    view = LiveView(sys.stdout) if quiet and not several else None
-    words = {str(key): str(value) for key, value in cfg.online.names.items()}
-    session = Session(running, task.columns, root, words, view, quiet)
-    try:
-        session.run(task.source)
-    finally:
-        from experiments.online.results import write_session  # slow: it draws
-
-        said = [in_words(alarm, words) for alarm in session.alarms]
-        if session.last is not None:
-            if view is not None:
-                view.show(session.last, said, last=True)
-            title = f"Parameters tracked by {name}"
-            paths = write_session(root, running, session.alarms, said, title, task.units)
-            out = sys.stdout if quiet else sys.stderr
-            for text in said:
-                print(f"{name}, seed {cfg.seed}: {text}" if several else text, file=out)
-            if not several:
-                print("\n".join(map(str, paths)), file=out)
-    if task.stream is not None:
-        from experiments.online.comparison import compare, score  # slow: they draw
-
-        score(root, name, cfg.seed, task.stream, session.alarms)
-        if several:
-            compare(Path(cfg.root))
+    if task.stream is None:
+        follow(cfg, root, task, begun(cfg, root, task))
+    else:
+        follow_to_score(cfg, root, task, task.stream)
 
 
 def main() -> None:

@@ -29,9 +29,9 @@ WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"
 """Distributions of the libraries that methods wrap, by import name."""
 
 
-def packages_of(optimizer: Optimizer) -> dict[str, str]:
+def packages_of(method: object) -> dict[str, str]:
     """Versions of NumPy, SciPy and the libraries that the method wraps."""
-    names = vars(sys.modules[type(optimizer).__module__]).values()
+    names = vars(sys.modules[type(method).__module__]).values()
     tops = {str(getattr(x, "__module__", None) or getattr(x, "__name__", "")) for x in names}
     wrapped = {WRAPPED[name] for top in tops if (name := top.partition(".")[0]) in WRAPPED}
     return {name: _version(name) for name in sorted(NUMERICAL | wrapped)}
@@ -91,6 +91,12 @@ def driving_code(methods: Iterable[Optimizer]) -> str:
     """Digest of the code that can affect a drive of a car that these methods identified."""
     modules = frozenset({type(method).__module__ for method in methods})
     return DRIVING_SOURCES.digest({*DRIVING, "miho.optim.minimize", *modules})
+
+
+def tracking_code() -> str:
+    """Digest of the code that can affect the score of a method that tracks parameters."""
+    parts = ("task", "session", "calibrated", "comparison")
+    return DRIVING_SOURCES.digest({f"experiments.online.{part}" for part in parts})
 
 
 DRIVING_SOURCES = Sources(

@@ -86,16 +86,23 @@ def tuning_error(method: OnlineMethod, contender: Contender, quick: bool) -> flo
 
 
 def calibrated(contender: Contender, family: Family, seeds: int, hours: float) -> Trial:
-    """Return the contender with thresholds from 1 h without a change, half of it with straights.
-
-    The alarm with the least mean delay on the tuning seeds is chosen; a missed change counts as
-    10 s.
-    """
+    """Return the contender with calibrated alarms."""
     method = contender.method()
     seeds = max(2, round(seeds * (contender.share if contender.share < 0.25 else 1)))
     hours = hours * contender.share
     if contender.detectors == ("own",):
         return Trial(contender, method, seeds, hours, {}, "own")
+    return Trial(contender, method, seeds, hours, *thresholds(contender, method, family, hours))
+
+
+def thresholds(
+    contender: Contender, method: OnlineMethod, family: Family, hours: float = 1.0
+) -> tuple[Mapping[str, float], str]:
+    """Return the thresholds of a peer's alarms, and the alarm that is used.
+
+    The thresholds are from 1 h without a change, half of it with straights. The alarm with the
+    least mean delay on the tuning seeds is used; a missed change counts as 10 s.
+    """
     count = max(2, round(24 * min(1.0, contender.share, 2 * hours)))
     peaks: dict[str, float] = {}
     each = [
@@ -106,19 +113,18 @@ def calibrated(contender: Contender, family: Family, seeds: int, hours: float) -
     for record in records(method, each, detectors(contender.detectors, {}), contender.abreast):
         for name, peak in record.peaks.items():
             peaks[name] = max(peaks.get(name, -np.inf), peak)
-    thresholds = {name: peak + MARGIN * abs(peak) for name, peak in peaks.items()}
+    limits = {name: peak + MARGIN * abs(peak) for name, peak in peaks.items()}
     tried = records(
         method,
         streams(family, "jump", TUNING, 4, 45.0),
-        detectors(contender.detectors, thresholds),
+        detectors(contender.detectors, limits),
         contender.abreast,
     )
     delays = {
         name: float(np.mean([min(record.alarm_delay(name), 10.0) for record in tried]))
         for name in contender.detectors
     }
-    best = min(delays, key=lambda name: delays[name])
-    return Trial(contender, method, seeds, hours, thresholds, best)
+    return limits, min(delays, key=lambda name: delays[name])
 
 
 def scored(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,26 +13,31 @@ from numpy.typing import NDArray
 
 from baselines.online import Stream
 from experiments.online.session import STATES
+from experiments.online.stored import SHARED, comparable
 from miho.analysis import save
 from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.tracking import scores_figure
 from miho.analysis.text import csv_text
 from miho.online import Alarm
 from miho.quantities import Array
-from miho.study import write_text
+from miho.study import Identity, write_text
+from miho.study.provenance import command_line, lasting
 
-SCORE = "score.json"
+PROVENANCE = "comparison.json"
 STAYING = 1.0
 """Time for which it must stay so [s]."""
-UNCALIBRATED = (
-    "Alarms of peers need a threshold, which only experiments.benchmarks.online calibrates."
+CALIBRATED = (
+    "The alarm of a peer is at 1.02 times its largest evidence in an hour without a change, on "
+    "other seeds."
 )
 CLOSE = 0.1
 """An estimate that differs by less than this share is close."""
 
 
-def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[Alarm]) -> None:
-    """Write the score of a session: errors, delays and coverage of the watched parameters.
+def score(
+    root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[Alarm]
+) -> dict[str, Any]:
+    """Return the score of a session: errors, delays and coverage of the watched parameters.
 
     error is the mean over the rows, in shares of the truth; within_10 [s] is the time after the
     change from which the first parameter that jumps is within 10 % of its new value and stays for
@@ -49,7 +55,7 @@ def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[
     old = np.abs(value / truth[-1] - 1) >= CLOSE
     near = clock[later & ~_soon(old, clock)]
     after = [alarm.time for alarm in alarms if alarm.time >= start]
-    found = {
+    return {
         "tracker": tracker,
         "seed": seed,
         "error": float(np.mean(apart)),
@@ -58,7 +64,6 @@ def score(root: Path, tracker: str, seed: int, stream: Stream, alarms: Sequence[
         "false_alarms": len(alarms) - len(after),
         "coverage": float(np.mean((low <= truth) & (truth <= high))),
     }
-    write_text(root / SCORE, json.dumps(found, indent=1) + "\n")
 
 
 def _soon(event: NDArray[np.bool_], clock: Array) -> NDArray[np.bool_]:
@@ -68,12 +73,10 @@ def _soon(event: NDArray[np.bool_], clock: Array) -> NDArray[np.bool_]:
     return count[ends] > count[:-1]
 
 
-def compare(root: Path) -> None:
-    """Write the table and the figure of all scores below a folder."""
-    scores = pd.DataFrame(
-        [json.loads(path.read_text(encoding="utf-8")) for path in sorted(root.glob(f"*/{SCORE}"))]
-    )
-    scores = scores.sort_values(["tracker", "seed"])
+def compare(root: Path, like: Identity) -> None:
+    """Write table, figure and origin of the stored scores below a folder that one is `like`."""
+    stored, others = comparable(root, like)
+    scores = pd.DataFrame([one["score"] for one in stored]).sort_values(["tracker", "seed"])
     write_text(root / "scores.csv", csv_text(scores))
     rng, lines = np.random.default_rng(0), []
     for tracker, group in scores.groupby("tracker"):
@@ -89,5 +92,13 @@ def compare(root: Path) -> None:
             "coverage": group["coverage"].mean(),
         })  # fmt: skip
     table = pd.DataFrame(lines).to_string(index=False, float_format="%.2f")
-    write_text(root / "table.txt", f"{table}\n{UNCALIBRATED}\n")
+    left = f"\n{others} scores of other code or settings are left out." if others else ""
+    write_text(root / "table.txt", f"{table}\n{CALIBRATED}{left}\n")
     save(scores_figure(scores), root / "figures" / "trackers")
+    about = {
+        "command": command_line("experiments.track"),
+        **{name: stored[0][name] for name in SHARED},
+        "sessions": [{n: one[n] for n in ("optimizer", "seed", "id", "data")} for one in stored],
+        "environment": lasting(stored[0]["environment"]),
+    }
+    write_text(root / PROVENANCE, json.dumps(about, indent=1) + "\n")

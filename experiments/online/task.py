@@ -123,12 +123,24 @@ def _split(problem: CurveFit, clock: str, learn: float, period: float) -> tuple[
         raise ConfigError(f"online.learn: {error}") from None
 
 
+def method_of(cfg: DictConfig) -> OnlineMethod:
+    """Return the method that a configuration describes."""
+    return instantiate(_node(cfg, "tracker"), "tracker", OnlineMethod)
+
+
+def request_of(cfg: DictConfig) -> dict[str, Any]:
+    """Return the settings on which the states of a synthetic stream depend, except the seed."""
+    online = {name: cfg.online[name] for name in ("changes", "input_noise", "period")}
+    nodes = {"tracker": _node(cfg, "tracker"), "stream": _node(cfg, "stream") | {"seed": None}}
+    return nodes | {"online": OmegaConf.to_container(OmegaConf.create(online))}
+
+
 def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
     """Return the run of the method, from the start or after the rows of the last session.
 
     Without `online.resume` the files of an earlier session are kept under other names.
     """
-    method = instantiate(_node(cfg, "tracker"), "tracker", OnlineMethod)
+    method = method_of(cfg)
     earlier = [path for path in (root / STATES, root / ROWS) if path.exists()]
     if cfg.online.resume and root / ROWS not in earlier:
         raise ConfigError(f"online.resume: {root / ROWS} is missing; expected it of a session")

@@ -135,8 +135,7 @@ def test_the_delay_of_a_score_is_relative_to_the_new_value(tmp_path: Path) -> No
     truth = stream.truth["D"]
     columns = {"time": stream.clock, "D": truth, "D_low": truth, "D_high": truth}
     pd.DataFrame(columns).to_csv(tmp_path / "states.csv", index=False)
-    score(tmp_path, "perfect", 1, stream, [])
-    scored = json.loads((tmp_path / "score.json").read_text())
+    scored = score(tmp_path, "perfect", 1, stream, [])
     assert scored["within_10"] == pytest.approx(0.18, abs=1e-9)
     assert (scored["error"], scored["coverage"], scored["alarm"]) == (0.0, 1.0, None)
 

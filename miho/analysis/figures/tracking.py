@@ -148,9 +148,6 @@ def scores_figure(scores: pd.DataFrame) -> Figure:
             ax.grid(axis="y", visible=False)
         panels[0].set_yticks(range(len(trackers)), trackers)
         panels[0].set_ylim(len(trackers) - 0.5, -0.5)
-        caption(
-            figure,
-            "light points: seeds; dark: median; no point: never, or no threshold of the alarm",
-        )
+        caption(figure, "light points: seeds; dark: median; no point: never")
         figure.draw_without_rendering()
     return figure
