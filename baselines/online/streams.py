@@ -257,9 +257,30 @@ def straighten(slip: Array, t: Array, kind: str, at: float, rng: np.random.Gener
     rng : numpy.random.Generator
         Source of randomness.
     """
-    if kind in ("straight", "mixed"):
-        straight = t >= at if kind == "straight" else t % 150 > 90
-        slip[straight] = 0.002 * rng.standard_normal(np.count_nonzero(straight))
+    straight = is_straight(kind, t, at)
+    slip[straight] = 0.002 * rng.standard_normal(np.count_nonzero(straight))
+
+
+def is_straight(kind: str, t: Array, at: float = 0.0) -> NDArray[np.bool_]:
+    """Return the mask of the rows on straights.
+
+    Parameters
+    ----------
+    kind : str
+        Change or fault, as in `tire`.
+    t : ndarray, shape (N,)
+        Times [s].
+    at : float, optional
+        Time of the change or fault [s].
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        True on straights.
+    """
+    if kind == "mixed":
+        return np.asarray(t % 150 > 90)
+    return np.asarray(t >= at) if kind == "straight" else np.full(t.size, False)
 
 
 def spoil(

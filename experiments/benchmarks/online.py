@@ -1,7 +1,7 @@
 """Online methods on streams with known truth: delays, errors, coverage, alarms and faults.
 
-python -m experiments.benchmarks.online [--quick] [--seeds N] [--hours H] [--methods A,B]
-    [--tune] [--output FOLDER]
+python -m experiments.benchmarks.online [--quick] [--seeds N] [--first N] [--hours H]
+    [--methods A,B] [--tune] [--output FOLDER]
 
 Streams of a tire and of a car whose grip falls by 35 % within 0.2 s or within 10 s, and streams
 without a change: mixed driving, straights, outliers and faults of sensors. Each seed has its own
@@ -35,7 +35,7 @@ TABLES = {
         "error", "error ramp", "error outliers", "seeds", "us",
     ),
     "Tire: coverage of the 95 % interval, alarms": (
-        "before", "after", "ramp", "mixed", "alarm", "alarm s", "alarm s q90", "missed",
+        "before", "after", "ramp", "mixed", "corners", "alarm", "alarm s", "alarm s q90", "missed",
         "most alarms", "false an hour", "hours", "false mixed", "false straight",
         "false outliers", "false faults",
     ),
@@ -49,7 +49,8 @@ TABLES = {
     "Car: vx, vy and yaw rate": (
         "car 10 %", "car 10 % q90", "car 5 %", "car 5 % q90", "car error", "car error ramp",
         "car error outliers", "car before", "car after", "car ramp", "car mixed", "car scale",
-        "car before scaled", "car after scaled", "car mixed scaled", "car alarm", "car alarm s",
+        "car before scaled", "car after scaled", "car mixed scaled", "car corners scaled",
+        "car alarm", "car alarm s",
         "car missed", "car most alarms", "car false an hour", "car hours", "car false mixed",
         "car false straight", "car false outliers", "car false faults", "car us",
     ),
@@ -57,7 +58,9 @@ TABLES = {
 """Columns of the printed tables."""
 
 
-def measure(quick: bool, tune: bool, seeds: int, hours: float, methods: str) -> Measured:
+def measure(
+    quick: bool, tune: bool, seeds: int, first: int, hours: float, methods: str
+) -> Measured:
     """Measure all methods, one after the other, with a line of progress for each part."""
     note = Progress()
     names = methods.split(",") if methods else [*CONTENDERS]
@@ -73,7 +76,7 @@ def measure(quick: bool, tune: bool, seeds: int, hours: float, methods: str) -> 
         if tune and contender.grid:
             contender = tuned(name, contender, quick, note)
         facts[name] = dict(contender.chosen)
-        rows += shown([scored(name, contender, seeds, hours, note)])
+        rows += shown([scored(name, contender, first, seeds, hours, note)])
     rows.append({"method": "oracle", **oracle(10 if quick else ORACLE_SEEDS)})
     frame = pd.DataFrame(rows)
     tables = [
@@ -81,7 +84,9 @@ def measure(quick: bool, tune: bool, seeds: int, hours: float, methods: str) -> 
         for title, columns in TABLES.items()
     ]
     table = frame[["method", *_there(frame, ("10 %", "5 %", "alarm s", "error"))]]
-    return Measured(table, frame, bars(frame), tables, {"seeds": seeds, "settings": facts})
+    return Measured(
+        table, frame, bars(frame), tables, {"first": first, "seeds": seeds, "settings": facts}
+    )
 
 
 FORMAT: dict[str, Any] = {"float_format": "{:.3g}".format, "na_rep": "-"}
@@ -188,6 +193,7 @@ if __name__ == "__main__":
         flags={"tune": "try the settings of each peer on other seeds first"},
         options={
             "seeds": (20, "seeds of the test"),
+            "first": (0, "first seed of the test"),
             "hours": (20.0, "hours of streams without a change"),
             "methods": ("", "names of methods, with commas between them; by default all"),
         },

@@ -14,8 +14,9 @@ import numpy as np
 
 from baselines.online import Stream, bicycle, longitudinal, tire
 from baselines.online.alarms import Detector
+from baselines.online.streams import is_straight
 from experiments.benchmarks.online_methods import Contender, detectors
-from experiments.benchmarks.online_records import Record, records, seconds_of_row
+from experiments.benchmarks.online_records import SETTLED, Record, records, seconds_of_row
 from miho.online import OnlineMethod
 
 TUNING, CALIBRATION, TEST, STRAIGHTS, HOURS = 1000, 5000, 60_000, 61_000, 70_000
@@ -57,10 +58,11 @@ def streams(
 
 @dataclass(frozen=True)
 class Trial:
-    """A contender with its calibrated alarms, and the sizes of the test."""
+    """A contender with its calibrated alarms, and the sizes and the first seed of the test."""
 
     contender: Contender
     method: OnlineMethod
+    first: int
     seeds: int
     hours: float
     thresholds: Mapping[str, float]
@@ -85,14 +87,15 @@ def tuning_error(method: OnlineMethod, contender: Contender, quick: bool) -> flo
     return float(np.mean(errors))
 
 
-def calibrated(contender: Contender, family: Family, seeds: int, hours: float) -> Trial:
+def calibrated(contender: Contender, family: Family, first: int, seeds: int, hours: float) -> Trial:
     """Return the contender with calibrated alarms."""
     method = contender.method()
     seeds = max(2, round(seeds * (contender.share if contender.share < 0.25 else 1)))
     hours = hours * contender.share
     if contender.detectors == ("own",):
-        return Trial(contender, method, seeds, hours, {}, "own")
-    return Trial(contender, method, seeds, hours, *thresholds(contender, method, family, hours))
+        return Trial(contender, method, first, seeds, hours, {}, "own")
+    alarm = thresholds(contender, method, family, hours)
+    return Trial(contender, method, first, seeds, hours, *alarm)
 
 
 def thresholds(
@@ -128,14 +131,14 @@ def thresholds(
 
 
 def scored(
-    name: str, contender: Contender, seeds: int, hours: float, note: Progress
+    name: str, contender: Contender, first: int, seeds: int, hours: float, note: Progress
 ) -> dict[str, Any]:
     """Return all scores of a method by name of the column."""
     row: dict[str, Any] = {"method": name}
     for family, prefix in ((tire, ""), (bicycle, "car ")):
         if prefix and contender.share < 0.25:
             continue
-        trial = calibrated(contender, family, seeds, hours if not prefix else hours / 5)
+        trial = calibrated(contender, family, first, seeds, hours / 5 if prefix else hours)
         note(f"{name}: {prefix}alarm {trial.alarm}, thresholds {_short(trial.thresholds)}")
         row |= {prefix + key: value for key, value in _changes(trial, family).items()}
         note(f"{name}: {prefix}changes")
@@ -152,8 +155,10 @@ def scored(
 
 def _changes(trial: Trial, family: Family) -> dict[str, Any]:
     """Delays, errors, coverage and alarms on jumps, ramps and jumps with outliers."""
-    n = trial.seeds
-    each = trial.over([drive for kind in CHANGES for drive in streams(family, kind, TEST, n, 60.0)])
+    n, first = trial.seeds, TEST + trial.first
+    each = trial.over(
+        [drive for kind in CHANGES for drive in streams(family, kind, first, n, 60.0)]
+    )
     jump, ramp, outliers = each[:n], each[n : 2 * n], each[2 * n :]
     alarm = trial.alarm
     late = [record.alarm_delay(alarm) for record in jump]
@@ -190,13 +195,15 @@ def _scale(trial: Trial, family: Family) -> float:
 
 def _quiet(trial: Trial, family: Family) -> dict[str, Any]:
     """False alarms an hour, coverage in mixed driving, and the change of estimates on straights."""
-    hours = trial.hours
+    hours, straights, others = trial.hours, STRAIGHTS + trial.first, HOURS + trial.first
     count = _count(hours / 8 / len(FAULTS), 60)
     sets = {
-        "mixed": streams(family, "mixed", HOURS, _count(hours / 2, 330), 330.0),
-        "straight": streams(family, "straight", STRAIGHTS, _count(hours / 4, 330), 330.0),
-        "outliers": streams(family, "outliers", STRAIGHTS, _count(hours / 8, 330), 330.0),
-        "faults": [drive for kind in FAULTS for drive in streams(family, kind, HOURS, count, 60.0)],
+        "mixed": streams(family, "mixed", others, _count(hours / 2, 330), 330.0),
+        "straight": streams(family, "straight", straights, _count(hours / 4, 330), 330.0),
+        "outliers": streams(family, "outliers", straights, _count(hours / 8, 330), 330.0),
+        "faults": [
+            drive for kind in FAULTS for drive in streams(family, kind, others, count, 60.0)
+        ],
     }
     runs = iter(trial.over([drive for each in sets.values() for drive in each], PIECE))
     parts = {name: [next(runs) for _ in each] for name, each in sets.items()}
@@ -205,6 +212,8 @@ def _quiet(trial: Trial, family: Family) -> dict[str, Any]:
     moved, grown = zip(*(_on_straight(record) for record in parts["straight"]), strict=True)
     scale = _scale(trial, family)
     return {
+        "corners scaled": np.mean([_in_corners(record, scale) for record in parts["mixed"]]),
+        "corners": np.mean([_in_corners(record) for record in parts["mixed"]]),
         "mixed": np.mean([record.coverage() for record in parts["mixed"]]),
         "mixed scaled": np.mean([record.coverage(scale=scale) for record in parts["mixed"]]),
         **{f"false {n}": f"{alarms[n]} in {spent[n]:.2g} h" for n in parts},
@@ -213,6 +222,13 @@ def _quiet(trial: Trial, family: Family) -> dict[str, Any]:
         "moved sd": np.median(moved),
         "interval grows": np.median(grown),
     }
+
+
+def _in_corners(record: Record, scale: float = 1.0) -> float:
+    """Coverage in mixed driving off its straights, where intervals grow and the truth stands."""
+    inside = (record.clock >= SETTLED) & ~is_straight("mixed", record.clock)
+    held = np.abs(record.theta - record.truth) < scale * record.reach
+    return float(held[inside].mean())
 
 
 def _on_straight(record: Record) -> tuple[float, float]:
@@ -228,8 +244,8 @@ def _faults(trial: Trial) -> dict[str, Any]:
     """Median over seeds of the largest error from the fault on, and the longest recovery."""
     row: dict[str, Any] = {}
     slowest = 0.0
-    kinds, n = (*FAULTS, "delay"), trial.seeds
-    runs = trial.over([drive for kind in kinds for drive in streams(tire, kind, TEST, n, 45.0)])
+    kinds, n, first = (*FAULTS, "delay"), trial.seeds, TEST + trial.first
+    runs = trial.over([drive for kind in kinds for drive in streams(tire, kind, first, n, 45.0)])
     for k, kind in enumerate(kinds):
         each = runs[k * n : (k + 1) * n]
         row[f"fault {kind}"] = np.median([record.errors(30.0).max() for record in each])
@@ -240,11 +256,11 @@ def _faults(trial: Trial) -> dict[str, Any]:
 
 def _other_changes(trial: Trial) -> dict[str, Any]:
     """Median delays after smaller and larger jumps of D, and after jumps of other parameters."""
-    n, drops = min(trial.seeds, 10), (0.1, 0.2, 0.5)
-    sets = {f"D by {drop:g}": streams(tire, "jump", TEST, n, 45.0, drop) for drop in drops}
-    sets["stiffness"] = streams(tire, "stiffness", TEST, n, 45.0)
+    n, first, drops = min(trial.seeds, 10), TEST + trial.first, (0.1, 0.2, 0.5)
+    sets = {f"D by {drop:g}": streams(tire, "jump", first, n, 45.0, drop) for drop in drops}
+    sets["stiffness"] = streams(tire, "stiffness", first, n, 45.0)
     for name in LONGITUDINAL:
-        sets[name] = streams(longitudinal, name, TEST, n, 90.0, 0.2)
+        sets[name] = streams(longitudinal, name, first, n, 90.0, 0.2)
     row = {}
     for name, each in sets.items():
         late = [record.delay(0.10 if name == "stiffness" else 0.05) for record in trial.over(each)]
