@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from miho.compiled.factors import fold, solve_in_box
+from miho.compiled.gauss_newton_bracket import GNRules, square_distance
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
     DONE,
@@ -23,12 +24,11 @@ from miho.compiled.gauss_newton_candidates import (
     UNUSABLE,
     GNBox,
     GNCandidates,
-    GNRules,
     Minima,
-    square_distance,
 )
+from miho.compiled.phases import CHUNK
 from miho.compiled.triangular import norm
-from miho.compiled.workspace import CHUNK, Work
+from miho.compiled.workspace import Work
 from miho.quantities import Array
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25

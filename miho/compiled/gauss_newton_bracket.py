@@ -7,31 +7,28 @@ Candidates make steps between two phases. They are moved within their arrays, th
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from miho.compiled.gauss_newton_candidates import (
-    ACTIVE,
     AT_KNOWN,
     COPY,
     COPY_LOSS,
     DONE,
-    ENTER,
     LEVEL,
     PHASE,
     READY,
     SIZE,
-    STORED,
     UNUSABLE,
     GNBox,
     GNCandidates,
-    GNRules,
     GNSettings,
     Minima,
-    square_distance,
 )
 from miho.compiled.phases import (
     EMPTY,
+    ENTERING,
     FINISH,
     LEAD,
     POLISH,
@@ -41,31 +38,57 @@ from miho.compiled.phases import (
     SCREEN,
     SOLVED,
     UNLIMITED,
+    begin,
+    look_again,
+    nearness,
 )
-from miho.quantities import Integers
+from miho.quantities import Array, Integers
 
-NEAR, NEAR_LAST = 9.0, 0.1
-"""A candidate is at a known minimum within this squared distance, in shares of its sum of squares
-and units of d / rows; the first value is 3 standard deviations. On all rows it is at most the
-second value, a share alone."""
-BETTER = 4.0
-"""But not if its loss is lower by more than this number of d / rows, which fewer rows may
-explain."""
-ENTERING = 1e-3
-"""Largest damping at the start of a level, for a candidate that was done on the previous one."""
 POLISHING = 50
 """Steps of the final descent, at most; in a narrow valley they would take long."""
 
 
-def nearness(d: int, m: int, last: bool) -> tuple[float, float]:
-    """Tolerances on m rows for a candidate at a known minimum.
+class GNRules(NamedTuple):
+    """Rules of a block of steps.
 
-    They are the largest squared distance, and the share by which its loss must not be lower.
+    Attributes
+    ----------
+    level, last : int, bool
+        Level whose rows are used, and whether these are all rows.
+    steps : int
+        Largest number of trials of a candidate.
+    reach : float
+        Longest step, in box widths.
+    secants : int
+        Largest number of consecutive Broyden updates.
+    tolerance : float
+        A candidate is done if the predicted gain is below this share of the sum of squares.
+    patience, progress, allowance : int, float, int
+        A candidate that gains less than the share `progress` of its loss over `patience` rows (0:
+        unlimited) stops once it has used `allowance` rows.
+    near, better : float
+        Squared distance from a known minimum, in shares of the sum of squares, at which a candidate
+        is on its way to it, unless its loss is lower by the share `better`.
+    ending : bool
+        Whether known minima end descents; only minima that the data determine do, because a descent
+        may pass others.
+    rounding : float
+        Largest loss that counts as 0.
     """
-    share = d / m
-    if last:
-        return min(NEAR * share, NEAR_LAST), 0.0
-    return NEAR * share, BETTER * share
+
+    level: int
+    last: bool
+    steps: int
+    reach: float
+    secants: int
+    tolerance: float
+    patience: int
+    allowance: int
+    progress: float
+    near: float
+    better: float
+    ending: bool
+    rounding: float
 
 
 def rules_of(place: Integers, level_rows: Integers, d: int, settings: GNSettings) -> GNRules:
@@ -137,14 +160,6 @@ def next_phase(
     return prune(c, place, order, box, level_rows, minima, settings)
 
 
-def begin(c: GNCandidates, place: Integers, phase: int, active: int) -> None:
-    """Begin a phase; steps and progress are counted from here."""
-    place[PHASE], place[ACTIVE] = phase, active
-    for i in range(active):
-        c.trials[i] = c.spent[i] = c.spent_at_mark[i] = 0
-        c.loss_at_mark[i] = c.loss[i]
-
-
 def begin_rung(
     c: GNCandidates,
     place: Integers,
@@ -182,27 +197,6 @@ def enter(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSe
         if done:
             c.damping[i] = min(c.damping[i], ENTERING)
     look_again(c, place, level_rows, settings)
-
-
-def look_again(
-    c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings
-) -> None:
-    """Mark the candidates for an evaluation of residuals and derivatives at the same place."""
-    for i in range(place[SIZE]):
-        c.loss[i] = c.predicted_gain[i] = math.inf
-        c.stage[i], c.growth[i], c.secants[i] = ENTER, 2.0, 0
-        c.trial[i] = c.x[i]
-    place[ACTIVE] = place[SIZE]
-    make_room(c, place, level_rows, settings)
-
-
-def make_room(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings) -> None:
-    """Store derivatives on this level, if there is room and they may be updated."""
-    m, size = level_rows[place[LEVEL]], place[SIZE]
-    stores = size * (c.x.shape[1] + 1) * m <= settings.room
-    if settings.compiled and c.projects[:size].sum() == size:
-        stores = False
-    place[STORED] = m if stores else 0
 
 
 def prune(
@@ -265,3 +259,15 @@ def keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
     for array in c[:4]:
         array[:count] = array[order[:count]]
     place[SIZE] = count
+
+
+def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
+    """|R (x_i - x)|^2: the change of a candidate's linear model from x_i to x (d,)."""
+    n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
+    for row in range(n):
+        value = 0.0
+        for k in range(row, n):
+            at = box.nonlinear[k] if c.projects[i] else k
+            value += c.R[i, row, k] * (c.x[i, at] - x[at])
+        total += value * value
+    return total

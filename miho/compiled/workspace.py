@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from miho.compiled.phases import CHUNK
 from miho.quantities import Array
-
-CHUNK = 512
-"""Rows per chunk; their derivatives stay in the first-level cache."""
 
 
 class SolverScratch(NamedTuple):
@@ -52,8 +50,3 @@ class Work(NamedTuple):
             zeros(d), zeros(d), zeros(d), zeros(d), zeros(d), zeros(levels), zeros((n, n)),
             zeros((n, CHUNK)), zeros(m), solver,
         )  # fmt: skip
-
-
-def room_for(d: int, m: int, levels: int) -> int:
-    """Number of elements that the machine needs for the same arrays, with columns up to eights."""
-    return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 8) + 7

@@ -181,7 +181,7 @@ const char run_bracket_doc[] =
     "run_bracket(calls, kept, X, y, numbers, counts, R, stored, place, order, box, level_rows, "
     "minima, settings, most, best, target, at, losses, thetas, tally, room): run a bracket to its "
     "end, or as far as allowed; returns how it ended. See "
-    "miho.compiled.gauss_newton_machine.bracket_of.";
+    "miho.compiled.phases.bracket_of.";
 PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 22) return PyErr_Format(PyExc_TypeError, "run_bracket takes 22 arguments");
     arrays all;

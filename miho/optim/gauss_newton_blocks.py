@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from miho.compiled import Block
-from miho.compiled.gauss_newton_machine import FINISHED, bracket_of
 from miho.compiled.kernel import INFINITE, NAN, Rows
-from miho.compiled.workspace import CHUNK, room_for
+from miho.compiled.phases import CHUNK, FINISHED, bracket_of, room_for
 from miho.optim.miho_gn_state import Blocks, MIHOGNState
 from miho.optim.oracle import Oracle
 

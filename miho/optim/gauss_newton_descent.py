@@ -6,12 +6,18 @@ import math
 
 import numpy as np
 
-from miho.compiled.gauss_newton_bracket import begin, make_room
 from miho.compiled.gauss_newton_candidates import GNCandidates, Minima
-from miho.compiled.gauss_newton_machine import PAUSED, bracket_of
 from miho.compiled.kernel import Rows
-from miho.compiled.phases import POLISH, SCREEN
-from miho.compiled.workspace import CHUNK, room_for
+from miho.compiled.phases import (
+    CHUNK,
+    PAUSED,
+    POLISH,
+    SCREEN,
+    begin,
+    bracket_of,
+    make_room,
+    room_for,
+)
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import box_of
 from miho.optim.space import Space

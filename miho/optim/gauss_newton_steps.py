@@ -22,7 +22,7 @@ from miho.compiled.gauss_newton import (
     take_factor,
     to_units,
 )
-from miho.compiled.gauss_newton_bracket import next_phase, rules_of
+from miho.compiled.gauss_newton_bracket import GNRules, next_phase, rules_of
 from miho.compiled.gauss_newton_candidates import (
     ACTIVE,
     ENTER,
@@ -31,7 +31,6 @@ from miho.compiled.gauss_newton_candidates import (
     TRIED,
     UNUSABLE,
     GNCandidates,
-    GNRules,
 )
 from miho.compiled.triangular import square_sum
 from miho.compiled.workspace import Work

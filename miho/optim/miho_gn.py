@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.compiled.gauss_newton_bracket import ENTERING, begin, look_again, make_room, nearness
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
     COPY_LOSS,
@@ -18,7 +17,19 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     Minima,
 )
-from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
+from miho.compiled.phases import (
+    CLOSED,
+    EMPTY,
+    ENTERING,
+    FINISH,
+    POLISH,
+    RETURNED,
+    REVIVE,
+    begin,
+    look_again,
+    make_room,
+    nearness,
+)
 from miho.optim.brackets import around, draw_starts
 from miho.optim.credibility import check_structure, credible, is_tested, solves
 from miho.optim.evidence import in_optimum

@@ -19,7 +19,7 @@ from miho.compiled.gauss_newton import (
     take_factor,
     to_units,
 )
-from miho.compiled.gauss_newton_bracket import next_phase, rules_of
+from miho.compiled.gauss_newton_bracket import GNRules, next_phase, rules_of
 from miho.compiled.gauss_newton_candidates import (
     ACTIVE,
     RECORD,
@@ -29,15 +29,14 @@ from miho.compiled.gauss_newton_candidates import (
     UNUSABLE,
     GNBox,
     GNCandidates,
-    GNRules,
     GNSettings,
     Minima,
     views,
 )
-from miho.compiled.gauss_newton_machine import FINISHED, PAUSED, REACHED
 from miho.compiled.kernel import Rows
+from miho.compiled.phases import CHUNK, FINISHED, PAUSED, REACHED
 from miho.compiled.triangular import fold, square_sum
-from miho.compiled.workspace import CHUNK, Work
+from miho.compiled.workspace import Work
 from miho.core import machine
 from miho.quantities import Array, Integers
 
@@ -85,7 +84,7 @@ def run_bracket(
 ) -> int:
     """Take a bracket to its end; how it ended. Goes on where it was cut off.
 
-    The arguments are those of `miho.compiled.gauss_newton_machine.bracket_of`.
+    The arguments are those of `miho.compiled.phases.bracket_of`.
     """
     while True:
         n, m = R.shape[1] + 1, int(place[STORED])

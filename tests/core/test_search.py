@@ -24,7 +24,7 @@ from baselines.problems import PublishedModel, published_fit, published_names
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.compiled import gauss_newton, triangular
 from miho.compiled.gauss_newton_candidates import SIZE
-from miho.compiled.gauss_newton_machine import PAUSED
+from miho.compiled.phases import PAUSED
 from miho.core import Instruction, Tape, machine
 from miho.models import FunctionModel
 from miho.optim import (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy
 
-from miho.compiled.gauss_newton_machine import bracket_of
+from miho.compiled.phases import bracket_of
 from miho.core import machine
 from miho.data import Dataset
 from miho.identification import CurveFit
