@@ -55,7 +55,7 @@ HOMES: Mapping[type, tuple[ModuleType, ...]] = {
 """Packages whose `__all__` lists the targets of each kind."""
 
 METHODS = Path(baselines.__file__).parent
-BASES = {Optimizer.__name__, AskTell.__name__}
+BASES = {Optimizer.__name__, AskTell.__name__, "MultiStart"}
 LONGEST_SHOWN = 80
 
 
