@@ -4,9 +4,11 @@ python -m experiments.benchmarks.formulas [--quick] [--output FOLDER]
 
 The tire with and without curvature, the 27 coefficients of MF 6.1's lateral force, a power with a
 choice, and the published formulas, at 3,000 rows (and the first ones at 300 and 30,000). The
-machine runs on each level of instructions that the processor has; NumPy evaluates the formula as
-written, once for values and once for derivatives. "ready" is the cost of a new formula before its
-first evaluation: tracing of value and derivatives, and compilation of both tapes.
+machine runs on each level of instructions that the processor has: one tape of value and derivatives
+as in `miho.fit_many`, or two tapes as in the steps of `miho.fit`, which needs derivatives less
+often. NumPy evaluates the formula as written, once for values and once for derivatives. "ready" is
+the cost of a new formula before its first evaluation: tracing of value and derivatives, and
+compilation of both tapes.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from experiments.benchmarks.bars import (
 )
 from miho.core import Tape, machine
 from miho.models.expression import Expression
-from miho.models.formula_tape import traced_tapes
+from miho.models.formula_tape import traced_tapes, traced_together
 from miho.models.function_model import FunctionModel
 from miho.quantities import Array
 from miho.vehicle.data import embedded_tire
@@ -41,10 +43,13 @@ from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.tire_formula import TireFormula
 
 ROWS, MORE_ROWS = 3000, (300, 30_000)
-REPEATS = 7
+REPEATS, ATOM = 40, 1e-3
+"""Turns of each job, and seconds of a turn: less than a time slice of a busy processor."""
 MAGIC, PUBLISHED = "MF 6.1 lateral", "published"
 NEW_FORMULA, NEW_MAGIC_FORMULA = 10, 30
 """Largest time [ms] for a new formula."""
+TIRE, TIRE_COST = "tire", {"avx2": 9.0, "avx512": 6.5}
+"""Largest cost of a row [ns] by level, with one tape."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,13 @@ class Case:
         """Value and derivatives."""
         return cast(tuple[Tape, Tape], self.model.tapes)
 
+    @cached_property
+    def together(self) -> Tape:
+        """Derivatives and value on one tape."""
+        model = self.model
+        p, d = len(model.inputs), len(model.parameters)
+        return cast(Tape, traced_together(model.value, model.derivatives, p, d))
+
 
 def power_with_choice(x: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
     """A power up to a knee, then a line."""
@@ -76,7 +88,7 @@ def power_with_choice(x: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
 def cases() -> Iterator[Case]:
     """All formulas; the formulas measured at several sizes come first."""
     tire = (2.0, 20.0), (1.0, 2.0), (2e3, 5e3), (-0.02, 0.02), (-100.0, 100.0)
-    yield Case("tire", Pacejka(), ((-0.25, 0.25),), tire)
+    yield Case(TIRE, Pacejka(), ((-0.25, 0.25),), tire)
     bent = (*tire[:3], (-2.0, 0.5), *tire[3:])
     yield Case("tire with curvature", PacejkaCurvature(), ((-0.25, 0.25),), bent)
     formula = cast(Expression, FunctionModel(power_with_choice, columns=("x",)).formula)
@@ -92,6 +104,11 @@ def cases() -> Iterator[Case]:
             f"{PUBLISHED}: {name}", model, ((0.1, 2.0),) * len(model.inputs),
             ((0.2, 2.0),) * len(model.parameters),
         )  # fmt: skip
+
+
+def two_tapes(level: str) -> str:
+    """Column of a level with two tapes."""
+    return f"{level}, two tapes"
 
 
 def both(call: Callable[[Any, Array, Array, Array], None], tapes: Any, *arrays: Array) -> None:
@@ -118,10 +135,12 @@ def measured(case: Case, rows: int, repeats: int) -> dict[str, Any]:
     row["instructions"] = sum(len(tape.code) for tape in case.tapes)
     jobs: dict[str, Callable[[], object]] = {"NumPy": partial(by_numpy, case.model, theta, X)}
     out = np.empty((1, 1, rows)), np.empty((1, d, rows))
+    everything = np.empty((1, d + 1, rows))
     for level, name in enumerate(machine().levels()):
-        held = [tape.at_level(level) for tape in case.tapes]
-        jobs[name] = partial(both, machine().evaluate, held, theta[None], X, *out)
-    seconds = interleaved(jobs, repeats)
+        one, two = case.together.at_level(level), [t.at_level(level) for t in case.tapes]
+        jobs[name] = partial(machine().evaluate, one, theta[None], X, everything)
+        jobs[two_tapes(name)] = partial(both, machine().evaluate, two, theta[None], X, *out)
+    seconds = interleaved(jobs, repeats, ATOM)
     return row | {name: 1e9 * value / rows for name, value in seconds.items()}
 
 
@@ -129,17 +148,20 @@ def measure(quick: bool) -> Measured:
     """All formulas."""
     if machine() is None:
         raise ValueError("the machine of miho.core was not built; install with a C compiler")
-    repeats, levels = (3 if quick else REPEATS), machine().levels()
+    repeats, levels = (10 if quick else REPEATS), machine().levels()
     chosen = list(cases())[:: 4 if quick else 1]
     planned = [(case, rows) for case in chosen for rows in (ROWS, *MORE_ROWS)
                if rows == ROWS or PUBLISHED not in case.name]  # fmt: skip
     table = pd.DataFrame([*shown(measured(*each, repeats) for each in planned)])
-    gain = table["NumPy"] / table[levels[-1]]
+    gain = table["NumPy"] / table[two_tapes(levels[-1])]
     published = gain[table["formula"].str.startswith(PUBLISHED)]
     magic = table["formula"] == MAGIC
+    tire = table[(table["formula"] == TIRE) & (table["rows"] == ROWS)]
     bars = [
-        Bar(f"published formulas by {levels[-1]} over NumPy, median", published.median(),
-            AT_LEAST, 1, "times"),
+        *(Bar(f"{TIRE} by {level}, a row", tire[level].min(), AT_MOST, most, "ns")
+          for level, most in TIRE_COST.items() if level in levels),
+        Bar(f"published formulas by {two_tapes(levels[-1])}, over NumPy, median",
+            published.median(), AT_LEAST, 1, "times"),
         Bar("a new formula", table.loc[~magic, "ready [ms]"].median(), AT_MOST, NEW_FORMULA, "ms"),
         Bar(f"a new {MAGIC}", table.loc[magic, "ready [ms]"].min(), AT_MOST, NEW_MAGIC_FORMULA,
             "ms"),

@@ -1,4 +1,4 @@
-"""Thousands of small fits: `miho.fit_many`, a loop of curve_fit, and lmfit if installed.
+"""Thousands of small fits: `miho.fit_many`, a loop of curve_fit; lmfit and JAX if installed.
 
 python -m experiments.benchmarks.many_fits [--quick] [--output FOLDER]
 
@@ -6,7 +6,8 @@ A decay to a level: 50 rows, three parameters. Fits from a start descend from a 
 truth; fits without a start search the box. All alternate in one run on one thread. A rate is the
 rate of the fastest turn: one call of `fit_many` for all datasets, or a loop of a rival over LOOPED
 datasets. On a busy machine the rate per CPU second is more reliable.
-NumPy's `fit_many` is one call with a function that cannot be traced.
+NumPy's `fit_many` is one call with a function that cannot be traced. JAX makes the same number of
+batched steps for all datasets, compiled before (`jax_fits`).
 """
 
 from __future__ import annotations
@@ -22,10 +23,13 @@ from scipy.optimize import curve_fit
 
 import miho
 from experiments.benchmarks.bars import AT_LEAST, Bar, Measured, benchmark, turns
+from experiments.benchmarks.jax_fits import jax_fits
 from miho.quantities import Array
 
 DATASETS, ROWS, LOOPED = 10_000, 50, 300
 BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
+JAX, OVER_JAX = "JAX, start", 3
+"""A rival, and how many times as many fits `fit_many` makes in a CPU second."""
 SAME = 1e-6
 """A fit is as good as another if its error is larger by at most this fraction."""
 
@@ -63,7 +67,10 @@ def measure(quick: bool) -> Measured:
         jobs["lmfit, start"] = partial(
             looped, lambda t, y, p: model.fit(y, x=t, a=p[0], b=p[1], c=p[2]), t, y, near
         )
-    fits = {name: count if name in ("fit_many", "fit_many, start") else LOOPED for name in jobs}
+    fits = dict.fromkeys(jobs, LOOPED) | {"fit_many": count, "fit_many, start": count}
+    batched = jax_fits(t, y, near)
+    if batched is not None:
+        jobs[JAX], fits[JAX] = batched, count
     spent: dict[str, list[float]] = {name: [] for name in jobs}
     timed = {name: partial(_timed, job, spent[name]) for name, job in jobs.items()}
     seconds = {name: min(s) / fits[name] for name, s in turns(timed, 3 if quick else 10).items()}
@@ -80,6 +87,12 @@ def measure(quick: bool) -> Measured:
         Bar("fit_many from a start", rate["fit_many, start"], AT_LEAST, 100_000, "fits/s"),
         Bar("fit_many without a start", rate["fit_many"], AT_LEAST, 50_000, "fits/s"),
     ]
+    if batched is not None:
+        each = dict(zip(frame["form"], frame["fits a CPU second"], strict=True))
+        bars.append(
+            Bar("fit_many over JAX, CPU", each["fit_many, start"] / each[JAX], AT_LEAST, OVER_JAX,
+                "times")
+        )  # fmt: skip
     for name, given in (("start", start), ("no start", None)):
         table = miho.fit_many(decay, t, y, BOX, start=given)
         share = float(np.mean(_as_good(table, t, y, truth)))
