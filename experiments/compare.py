@@ -34,7 +34,7 @@ SETTINGS = {
     "experiment": "the comparison; experiment --help lists them",
     "seed, optimizer": "values to sweep over: 'seed=range(5)' optimizer=miho,random",
     "comparison.repetitions, .methods": "repetitions and methods of an arena",
-    "comparison.processes": "number of simultaneous runs of an arena",
+    "sweep.workers": "number of simultaneous runs, or the address of a cluster",
     "comparison.target": "an arena's run ends at this multiple of the recorded optimum",
     "budget.evaluations, budget.seconds": "limits of a run; it ends at the first one reached",
     "root, fresh": "folder of results; fresh=true sets outdated runs aside",
@@ -44,11 +44,9 @@ SETTINGS = {
 def compare(cfg: DictConfig) -> None:
     """Run an arena (every method on every problem for each repetition), then draw and judge it."""
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
+    settings = sweep_settings(cfg.sweep)
     plan, note = planned_arena(cfg, overrides)
-    runs = run(
-        plan, sweep_settings(cfg.sweep), processes=cfg.comparison.processes, fresh=cfg.fresh,
-        overrides=overrides, tracking=cfg.tracking,
-    )  # fmt: skip
+    runs = run(plan, settings, fresh=cfg.fresh, overrides=overrides, tracking=cfg.tracking)
     code = draw(cfg, plan, runs.states, overrides, note)
     runs.raise_if_stopped()
     if code != OK:

@@ -22,7 +22,7 @@ from experiments.app.console import SOME_FAILED, EndedError, command
 from experiments.app.forecast import announce
 from experiments.app.plan import request_of, requests, sweep_settings
 from experiments.app.run_text import print_summary, result_text
-from experiments.app.runs import HERE, run
+from experiments.app.runs import run
 from miho.identification.line_wrapping import for_terminal
 from miho.study import Status
 
@@ -56,7 +56,7 @@ def identify(cfg: DictConfig) -> float | None:
     if not is_job:
         announce(experiment, cfg.dataset)
     plan = [request_of(experiment, cfg)]
-    runs = run(plan, settings, processes=HERE, fresh=cfg.fresh, tracking=cfg.tracking)
+    runs = run(plan, settings, here=True, fresh=cfg.fresh, tracking=cfg.tracking)
     (state,) = runs.states
     if state.line:
         print(state.line, flush=True)

@@ -508,7 +508,9 @@ def test_completion(identify: Command, typed: str, completed: list[str]) -> None
     ("override", "message"),
     [
         ("problem=tire_lf", "error: problem: cannot be chosen here"),
-        ("comparison.processes=0", "error: comparison.processes: is 0"),
+        ("sweep.workers=0", "error: sweep.workers: is 0"),
+        ("comparison.repetitions=0", "error: comparison.repetitions: is 0"),
+        ("comparison.processes=2", "error: comparison.processes: is now sweep.workers"),
         ("comparison.problems=[]", "error: experiment: compares nothing; choose one that sweeps"),
     ],
 )

@@ -239,7 +239,8 @@ def test_code_of_the_users_needs_machines_that_see_it(tmp_path: Path) -> None:
 
 
 def test_the_former_name_and_a_wrong_address(tmp_path: Path) -> None:
-    assert sweep_settings(composed(["sweep.processes=3"]).sweep).workers == 3
+    with pytest.raises(ConfigError, match=r"sweep\.processes: is now sweep\.workers"):
+        composed(["sweep.processes=3"])
     for wrong in ("sweep.workers=dask:0", "sweep.workers=two", "sweep.workers=true"):
         with pytest.raises(ConfigError, match=r"sweep\.workers: .*dask://HOST:PORT, dask:N"):
             sweep_settings(composed([wrong]).sweep)

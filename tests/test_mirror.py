@@ -31,7 +31,7 @@ from experiments.app.mirror import (
 )
 from experiments.app.mlflow_tracker import connect, numbers_of, word
 from experiments.app.plan import requests
-from experiments.app.runs import HERE, run
+from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 from experiments.sync import pages_need
 from miho import Budget, load_runs, minimize
@@ -167,13 +167,13 @@ def test_an_interrupted_sweep_says_how_to_mirror_what_it_has_finished(
     register()
     small = ["optimizer=random", "budget.evaluations=20", f"root={tmp_path}"]
     plan = requests(composed(small), "", [0, 1])
-    assert run(plan[:1], SweepConfig(), processes=HERE).stopped is None
+    assert run(plan[:1], SweepConfig(), here=True).stopped is None
     capsys.readouterr()
     monkeypatch.setattr("experiments.app.runs._do", interrupted)
-    assert run(plan, SweepConfig(), processes=HERE).stopped is not None
+    assert run(plan, SweepConfig(), here=True).stopped is not None
     assert capsys.readouterr().err == "", "nothing is mirrored without a tracker"
     monkeypatch.setattr("experiments.app.mirror.check_tracking", lambda _: True)
-    assert run(plan, SweepConfig(), processes=HERE).stopped is not None
+    assert run(plan, SweepConfig(), here=True).stopped is not None
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("mirror: 1 of 1 runs may not be in the tracker (interrupted)")
     assert line.endswith(f"run python -m experiments.sync {tmp_path}")
@@ -264,7 +264,7 @@ from experiments.app.mirror import mirror
 from experiments.app.compose import composed
 from experiments.app.mlflow_tracker import connect
 from experiments.app.plan import requests
-from experiments.app.runs import HERE, run
+from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 root, uri, name, *folders = sys.argv[1:]
 mirror(Path(root), list(map(Path, folders)), partial(connect, Path(root), uri, name))

@@ -11,7 +11,7 @@ import pytest
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.plan import request_of
-from experiments.app.runs import HERE, run
+from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 from miho.parallel import worth
 from miho.study.files import JOURNAL
@@ -62,7 +62,7 @@ class Runs:
     def __call__(self, *overrides: str) -> str:
         """The line of the run."""
         cfg = self.configured(*overrides)
-        outcome = run([request_of(build(cfg), cfg)], SweepConfig(), processes=HERE)
+        outcome = run([request_of(build(cfg), cfg)], SweepConfig(), here=True)
         outcome.raise_if_stopped()
         return outcome.states[0].line
 

@@ -39,7 +39,7 @@ def statuses(runs: list[State]) -> list[Status]:
     return [state.status for state in runs]
 
 
-@pytest.mark.parametrize("setting", ["workers=0", "processes=0", "time_limit=0"])
+@pytest.mark.parametrize("setting", ["workers=0", "time_limit=0"])
 def test_a_bad_setting_is_one_line(tmp_path: Path, setting: str) -> None:
     with pytest.raises(ConfigError, match=f"sweep.{setting.partition('=')[0]}: is 0"):
         sweep_settings(config(tmp_path, f"sweep.{setting}").sweep)

@@ -34,7 +34,7 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
     for name, reason in arena.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
     problems = len({request.identity.problem for request in arena.plan})
-    size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
+    size = [f"{problems} problems", f"{cfg.sweep.workers} runs at a time"]
     if arena.left_out:
         size.append(f"without {', '.join(arena.left_out)}, which were not available")
     note = note_on_size(cfg, size, cfg.comparison.repetitions)
@@ -50,9 +50,9 @@ def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
             "experiment: compares nothing; choose one that sweeps over methods, such as "
             "experiment=compare, or that names problems, such as experiment=arena_small"
         )
-    for key in ("repetitions", "processes"):
-        if cfg.comparison[key] < 1:
-            raise ConfigError(f"comparison.{key}: is {cfg.comparison[key]}; expected at least 1")
+    repetitions = cfg.comparison.repetitions
+    if repetitions < 1:
+        raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
     for group in ("optimizer", "problem"):
         if any(o.startswith(f"{group}=") for o in overrides):
             raise ConfigError(f"{group}: cannot be chosen here; see comparison.{group}s")

@@ -98,14 +98,8 @@ def requests(
 def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
     """Checked settings of `sweep`; raises ConfigError."""
     settings = SweepConfig(**{str(key): value for key, value in given.items()})
-    former, workers = settings.processes, settings.workers
-    if former is not None:
-        if former < 1:
-            raise ConfigError(f"sweep.processes: is {former}; expected at least 1")
-        if is_address(workers):
-            raise ConfigError("sweep.processes: is the former name of sweep.workers; give one")
-        settings = replace(settings, workers=former, processes=None)
-    elif is_address(workers):
+    workers = settings.workers
+    if is_address(workers):
         _check_workers(workers)
     elif isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ConfigError(

@@ -33,7 +33,7 @@ from experiments.app.working import (
     prepare,
     with_result,
 )
-from miho.parallel.cluster import ClusterLost, is_address
+from miho.parallel.cluster import ClusterLost
 from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Status, Store
 from miho.study.changes import refuse_changes
@@ -65,19 +65,19 @@ def run(
     plan: Sequence[Request],
     settings: SweepConfig,
     *,
-    processes: int | None = None,
+    here: bool = False,
     fresh: bool = False,
     overrides: Sequence[str] = (),
     tracking: Mapping[str, Any] = MappingProxyType({}),
 ) -> PlanOutcome:
-    """Execute the unfinished runs, `processes` at a time (default: `settings.workers`).
+    """Execute the unfinished runs in `settings.workers`, or one after the other in this process.
 
     A run that is requested twice is executed once, and a run that another process executes is
     waited for. A run that raises, exits, is killed or takes too long does not affect other runs.
     After the first signal the active runs save their progress and stop, and the returned states
-    describe all runs. With `HERE` the runs are executed in this process, one after the other.
-    Otherwise, if `settings.workers` is the address of a cluster, the runs are executed there; if
-    the cluster is lost, the states say which runs are to do.
+    describe all runs. With `here` the runs are executed in this process. Otherwise, if
+    `settings.workers` is the address of a cluster, the runs are executed there; if the cluster is
+    lost, the states say which runs are to do.
 
     Raises ResumeRefused if stored runs used other code, data or settings. At the end finished runs
     are sent to the tracker of `tracking`, unless a signal stopped the runs.
@@ -88,10 +88,8 @@ def run(
         runs.states += [replace(stored_state(request), reason=None) for request in unique]
         return runs
     check_tracking(tracking)
-    at_once: int | str = settings.workers if processes is None else processes
-    if processes != HERE and is_address(settings.workers):
-        at_once = settings.workers
-    _refuse_and_list(unique, overrides, fresh=fresh, in_process=at_once == HERE)
+    at_once: int | str = HERE if here else settings.workers
+    _refuse_and_list(unique, overrides, fresh=fresh, in_process=here)
     try:
         try:
             _do(unique, settings, at_once, runs.states)

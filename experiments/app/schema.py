@@ -93,16 +93,14 @@ class ComparisonConfig:
     """The methods and problems of a comparison, the number of repetitions, and the output.
 
     `methods` maps options of conf/optimizer to settings that replace their defaults. `problems`
-    names several options of conf/problem, for an arena in which `processes` runs are made
-    simultaneously; without it there is one problem, and one run at a time. In an arena, a run ends
-    at `target` times the recorded optimum of its problem. `note` is text for the figures. Figures
-    and tables are written to `output`.
+    names several options of conf/problem, for an arena; without it there is one problem. In an
+    arena, a run ends at `target` times the recorded optimum of its problem. `note` is text for the
+    figures. Figures and tables are written to `output`.
     """
 
     repetitions: int = 5
     target: float | None = None
     problems: list[str] = field(default_factory=list)
-    processes: int = 1
     methods: dict[str, dict[str, Any]] = field(default_factory=dict)
     note: str = ""
     output: str = "${root}/figures"
@@ -110,20 +108,19 @@ class ComparisonConfig:
 
 @dataclass
 class SweepConfig:
-    """How a sweep (-m) executes its runs.
+    """How a sweep (-m) or an arena executes its runs.
 
     `workers` is the number of simultaneous runs, in processes of this machine, or the address of a
-    cluster, one run per thread: dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N (`processes` is
-    the former name). With `shared`, the workers of a cluster see `root` and the user's files at the
-    same paths as this machine and store their runs themselves; otherwise results are sent to this
-    machine and stored here. A run that takes longer than `time_limit` seconds is killed. A run that
-    fails or is lost stops the others only with `stop_on_failure`; the next call repeats it.
-    `dry_run` only lists the runs. `timed` means that seconds are compared: `fresh` then also sets
-    aside finished runs whose seconds other work disturbed.
+    cluster, one run per thread: dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N. With `shared`,
+    the workers of a cluster see `root` and the user's files at the same paths as this machine and
+    store their runs themselves; otherwise results are sent to this machine and stored here. A run
+    that takes longer than `time_limit` seconds is killed. A run that fails or is lost stops the
+    others only with `stop_on_failure`; the next call repeats it. `dry_run` only lists the runs.
+    `timed` means that seconds are compared: `fresh` then also sets aside finished runs whose
+    seconds other work disturbed.
     """
 
     workers: Any = 1
-    processes: int | None = None
     shared: bool = False
     time_limit: float | None = None
     stop_on_failure: bool = False
@@ -274,6 +271,8 @@ RENAMED = {
     "optimizer=miho_asynchronous": "was removed; use miho_gn_asynchronous, or miho with workers",
     "miho.optim.AsynchronousMIHO": "was removed; use miho.optim.AsynchronousMIHOGN, or "
     "miho.optim.MIHO with workers",
+    "sweep.processes": "is now sweep.workers",
+    "comparison.processes": "is now sweep.workers",
     "problem.compressed": "was removed, because losses are summed over all rows; leave it out",
 }
 """Messages on settings, options and classes that were renamed or removed, by former name."""

@@ -27,7 +27,7 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.console import run_and_exit
 from experiments.app.plan import request_of
-from experiments.app.runs import HERE, run
+from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 from miho.optim.seeds import stream
 
@@ -79,7 +79,7 @@ def search(folder: Path, method: str, workers: str) -> None:
         f"space={bounds}c: {{unit: V, low: -1, high: 2}}}}", f"optimizer={method}",
         f"budget.evaluations={EVALUATIONS}", f"workers={workers}", f"root={folder}/runs",
     ])  # fmt: skip
-    run([request_of(build(cfg), cfg)], SweepConfig(), processes=HERE).raise_if_stopped()
+    run([request_of(build(cfg), cfg)], SweepConfig(), here=True).raise_if_stopped()
 
 
 def prepared(folder: Path) -> Path:

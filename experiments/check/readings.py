@@ -17,6 +17,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -140,7 +141,7 @@ def main() -> None:
         overrides = [] if arguments.root is None else [f"root={arguments.root}"]
         cfg = composed([EXPERIMENT, *overrides])
         todo = list(plan(arguments.repetitions, overrides))
-        outcome = run(todo, sweep_settings(cfg.sweep), processes=arguments.workers)
+        outcome = run(todo, replace(sweep_settings(cfg.sweep), workers=arguments.workers))
         outcome.raise_if_stopped()
         if any(state.error is None and state.reason is not None for state in outcome.states):
             print("runs are missing; nothing is judged, run again", file=sys.stderr)

@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from experiments.app.build import ConfigError, build, plain
 from experiments.app.compose import composed
 from experiments.app.plan import request_of
-from experiments.app.runs import HERE, run
+from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 from miho.identification import CurveFit
 from miho.identification.parameters_file import identified_at
@@ -81,7 +81,7 @@ def identified_parts(cfg: DictConfig, names: Sequence[str] = tuple(PARTS)) -> Pa
         for part, experiment in experiments.items()
         if part not in files
     ]
-    runs = run(plan, SweepConfig(), processes=HERE, fresh=cfg.fresh)
+    runs = run(plan, SweepConfig(), here=True, fresh=cfg.fresh)
     runs.raise_if_stopped()
     for state in runs.states:
         part, problem = state.request.words, experiments[state.request.words].problem

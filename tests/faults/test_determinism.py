@@ -92,10 +92,10 @@ def test_workers_and_a_kill_change_nothing(
     times = RUNS if thorough else FEWER_RUNS
     wanted = (*SWEEP, f"seed=range({times // 3})")
     for name, workers in (("one", 1), ("two", 2)):
-        identified(*wanted, f"root={tmp_path / name}", f"sweep.processes={workers}")
+        identified(*wanted, f"root={tmp_path / name}", f"sweep.workers={workers}")
     root = tmp_path / "killed"
     serving = set(descendants(os.getpid()))
-    sweep = begun(Call([*wanted, f"root={root}", "sweep.processes=2"]))
+    sweep = begun(Call([*wanted, f"root={root}", "sweep.workers=2"]))
     until = time.monotonic() + 60
     while len(list(root.glob("*/*/*/result.json"))) < times // 2 and time.monotonic() < until:
         time.sleep(0.02)
@@ -106,7 +106,7 @@ def test_workers_and_a_kill_change_nothing(
     while (orphans := len(alive(family))) and time.monotonic() < until:
         time.sleep(0.05)
     before = {path: path.read_bytes() for path in root.glob("*/*/*/result.json")}
-    code = identified(*wanted, f"root={root}", "sweep.processes=2").code
+    code = identified(*wanted, f"root={root}", "sweep.workers=2").code
     untouched = sum(path.read_bytes() == data for path, data in before.items())
     tables = [_table(tmp_path / name) for name in ("one", "two", "killed")]
     equal = all(table.equals(tables[0]) for table in tables)

@@ -88,7 +88,7 @@ def test_models_that_go_wrong(tmp_path: Path, measured: Figures) -> None:
     ended = identified(
         "-m", "model=function", f"model.path={','.join(paths)}", "dataset.n=40", "optimizer=random",
         "optimizer.batch=1", "budget.evaluations=500", f"root={tmp_path / 'runs'}",
-        "sweep.processes=2", "sweep.time_limit=5",
+        "sweep.workers=2", "sweep.time_limit=5",
     )  # fmt: skip
     lines = [
         line

@@ -142,7 +142,7 @@ def _stop(
 
 
 def _whole_command(root: Path) -> Stopped:
-    process = started("-m", *SWEEP, "sweep.processes=2", "seed=range(100)", f"root={root}")
+    process = started("-m", *SWEEP, "sweep.workers=2", "seed=range(100)", f"root={root}")
     _wait_for(root, "lock", 2)
     family = [process.pid, *descendants(process.pid)]
     os.kill(process.pid, signal.SIGINT)
