@@ -1,4 +1,4 @@
-"""Speed and accuracy of the plants.
+"""Speed and accuracy of the plants, and the time to plan a lap.
 
 python -m experiments.benchmarks.plant [--quick]
 
@@ -7,7 +7,7 @@ of 10 ms, as in a closed loop, and of 100 ms; plant 2 in control periods, if its
 installed. The plants alternate, and the fastest of many short turns counts. Accuracy is the change
 with half the step in a lap of IMS in closed loop, with braking before the turns, and in an
 open-loop drive of acceleration, weave, shifts and braking. The error of the open-loop drive against
-a step of 0.125 ms is shown for each step.
+a step of 0.125 ms is shown for each step. Plans are of a lap of LVMS; the median of 30 counts.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import hydra
 import numpy as np
@@ -23,14 +24,15 @@ from omegaconf import OmegaConf
 
 from experiments.app.compose import CONF
 from experiments.app.console import BUG, OK, run_and_exit
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine, turns
 from miho.study import single_thread
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.double_track import DoubleTrack
 from miho.vehicle.driving.driver import Driver
-from miho.vehicle.driving.embedded import embedded_plant
+from miho.vehicle.driving.embedded import embedded_engine, embedded_plant, embedded_tires
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.multi_body import MultiBody
-from miho.vehicle.driving.ovals import ims
+from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.plant import Command, Motion, Plant, State
 from miho.vehicle.driving.road import road_of
@@ -50,6 +52,9 @@ DRIVE = (
 """Seconds and command of each part of the drive, from 40 m/s in gear 4."""
 STEPS = (1e-3, 5e-4, 2.5e-4)
 FINEST = 1.25e-4
+PLANS = 30
+CASES = ((1.0, 62.0), (1.0, 90.0), (0.5, 90.0))
+"""Performance factors and top speeds [m/s] of plans; with the last the car has to brake."""
 
 
 def av21() -> Vehicle:
@@ -134,6 +139,19 @@ def lap_time(vehicle: Vehicle, step: float) -> float:
     return float(second - first)
 
 
+def plans(vehicle: Vehicle) -> pd.DataFrame:
+    """Milliseconds of a plan, a row per case."""
+    car = KnownCar.of_tires(vehicle, embedded_tires(), embedded_engine(), EMBEDDED_BRAKE)
+    line, rows = lvms(), []
+    for mu, top_speed in CASES:
+        plan = partial(car.planner(mu, top_speed).plan, line)
+        lap_time = plan().lap_time  # compilation is not measured
+        seconds = turns({"plan": plan}, PLANS)["plan"]
+        row = {"mu": mu, "top speed [m/s]": top_speed, "points": line.s.size}
+        rows.append({**row, "lap [s]": lap_time, "plan [ms]": 1e3 * float(np.median(seconds))})
+    return pd.DataFrame(rows)
+
+
 def measure(quick: bool) -> list[Bar]:
     """Print all figures and return the bars."""
     vehicle = av21()
@@ -144,6 +162,8 @@ def measure(quick: bool) -> list[Bar]:
     print(f"{errors.to_string(index=False, float_format='{:.3g}'.format)}\n")
     laps = [lap_time(vehicle, step) for step in STEPS[:2]]
     print(f"lap of IMS in closed loop: {laps[0]:.6f} s, half the step {laps[1]:.6f} s\n")
+    planned = plans(vehicle)
+    print(f"{planned.to_string(index=False, float_format='{:.4g}'.format)}\n")
     ends = [end_of(replace(car, step=step)) for step in STEPS[:2]]
     moved = float(np.hypot(ends[0].x - ends[1].x, ends[0].y - ends[1].y))
     length = sum(seconds for seconds, _ in DRIVE) * 40.0
@@ -151,6 +171,7 @@ def measure(quick: bool) -> list[Bar]:
         Bar("real time factor of plant 1", float(fast["times real time"].iloc[0]), AT_LEAST, 50.0),
         Bar("half the step: lap time, relative", abs(laps[1] / laps[0] - 1), AT_MOST, 1e-4),
         Bar("half the step: end of the open-loop drive, per metre", moved / length, AT_MOST, 1e-4),
+        Bar("a plan of LVMS", float(planned["plan [ms]"].max()), AT_MOST, 50.0, "ms"),
     ]
 
 
