@@ -58,9 +58,7 @@ def shown_text(notebook: nbformat.NotebookNode) -> str:
 def machine_names(notebook: nbformat.NotebookNode) -> list[str]:
     """Absolute paths in the outputs, and the name of this machine if it occurs."""
     text = shown_text(notebook)
-    paths = re.findall(
-        r"(?<![\w.<])/(?:home|root|tmp|usr|opt|work|Users|var|private)/[^\s\"'<]*", text
-    )
+    paths = re.findall(rf"(?<![\w.<])/(?:{TOPS})/[^\s\"'<]*", text)
     host = socket.gethostname()
     return sorted({*paths, *([host] if re.search(rf"\b{re.escape(host)}\b", text) else [])})
 
