@@ -6,11 +6,14 @@ phase fits no better than none. Searches then agree on a wrong optimum more ofte
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.models.expression import Expression
 from miho.models.formula_text import written
+from miho.models.model import Model
 from miho.models.symbolic import (
     ARGUMENT,
     CONDITION,
@@ -54,46 +57,61 @@ def searches_period(problem: CurveFit) -> bool:
     bool
         False also for a model that is no formula, of which this is unknown.
     """
-    model = problem.model
-    if not isinstance(model, Expression):
-        return False
-    columns = [argument(f"x{k}") for k in range(len(model.inputs))]
-    parameters = [argument(f"p{k}") for k in range(len(model.parameters))]
-    try:
-        graph = trace(model.value, tuple(columns), tuple(parameters))
-    except NotAFormulaError:
-        return False
-    sines = [symbol for symbol in ordered([graph]) if symbol.operation in PERIODIC]
-    angles = [sine.arguments[0] for sine in sines if _follows(sine.arguments[0], columns)]
-    return any(map(_differ, _ranges(problem, angles, columns, parameters))) if angles else False
-
-
-def _ranges(
-    problem: CurveFit, angles: list[Symbol], columns: list[Symbol], parameters: list[Symbol]
-) -> list[Array]:
-    """Ranges (n,) of each angle over the rows, in rad, at n configurations in the box."""
-    names = {
-        "inputs": [column.arguments[0] for column in columns],
-        "theta": [parameter.arguments[0] for parameter in parameters],
-    }
-    values = written("angles", names, angles, single=False)
-    count = len(problem.dataset)
-    rows = np.linspace(0, count - 1, min(count, ROWS)).astype(int)
     space = problem.space
     thetas = space.decode(space.initial(STARTS))
     one = np.repeat(thetas[:1], 2 * len(space), axis=0)  # one parameter at an end, for each end
     np.fill_diagonal(one[: len(space)], space.low)
     np.fill_diagonal(one[len(space) :], space.high)
-    thetas = np.concatenate([thetas, one])
+    return any(
+        isinstance(model, Expression) and _has_a_period(model, columns, values)
+        for model, columns, values in _parts(problem, np.concatenate([thetas, one]))
+    )
+
+
+def _parts(problem: CurveFit, thetas: Array) -> Iterator[tuple[Model, Sequence[Array], Array]]:
+    """Each model of a joint one with its columns and its parameters (n, d) at `thetas` (n, f)."""
+    model = problem.model
+    if isinstance(model, Expression):
+        yield model, problem.inputs, thetas
+        return
+    from miho.models.joint import JointModel
+    from miho.models.tied import Tied
+
+    if isinstance(model, Tied):
+        thetas, model = model.ties.whole(thetas), model.whole
+    if isinstance(model, JointModel):
+        for part, _, chosen, columns in model.shares(problem.inputs):
+            yield part.model, columns, thetas[:, chosen]
+
+
+def _has_a_period(model: Expression, columns: Sequence[Array], thetas: Array) -> bool:
+    """Whether an angle of a formula differs by over a period between parameters (n, d)."""
+    inputs = [argument(f"x{k}") for k in range(len(columns))]
+    parameters = [argument(f"p{k}") for k in range(thetas.shape[1])]
+    try:
+        graph = trace(model.value, tuple(inputs), tuple(parameters))
+    except NotAFormulaError:
+        return False
+    sines = [symbol for symbol in ordered([graph]) if symbol.operation in PERIODIC]
+    angles = [sine.arguments[0] for sine in sines if _unbounded(sine.arguments[0], inputs)]
+    if not angles:
+        return False
+    names = {
+        "inputs": [column.arguments[0] for column in inputs],
+        "theta": [parameter.arguments[0] for parameter in parameters],
+    }
+    values = written("angles", names, angles, single=False)
+    count = columns[0].size
+    rows = np.linspace(0, count - 1, min(count, ROWS)).astype(int)
     with np.errstate(all="ignore"):
-        at = values([column[rows] for column in problem.inputs], tuple(thetas.T[:, :, None]))
-        return [np.broadcast_to(np.ptp(angle, axis=-1), len(thetas)) for angle in at]
+        at = values([column[rows] for column in columns], tuple(thetas.T[:, :, None]))
+        return any(_differ(np.ptp(angle, axis=-1)) for angle in at)
 
 
-def _follows(angle: Symbol, columns: list[Symbol]) -> bool:
+def _unbounded(angle: Symbol, inputs: list[Symbol]) -> bool:
     """Whether an angle depends on an input other than through a bounded operation."""
-    unbounded = ordered([angle], ends=(ARGUMENT, CONSTANT, *BOUNDED))
-    return not set(columns).isdisjoint(unbounded)
+    symbols = ordered([angle], ends=(ARGUMENT, CONSTANT, *BOUNDED))
+    return not set(inputs).isdisjoint(symbols)
 
 
 def _differ(ranges: Array) -> bool:

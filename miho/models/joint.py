@@ -131,19 +131,19 @@ class JointModel(Model):
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Return the outputs (n, N) of parameter rows (n, d); the first input is the part."""
         values = np.empty((len(thetas), inputs[0].size))
-        for part, rows, chosen, columns in self._shares(inputs):
+        for part, rows, chosen, columns in self.shares(inputs):
             values[:, rows] = part.model.predict(thetas[:, chosen], *columns)
         return values
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Return the derivatives of the outputs, (N, d), at one configuration (d,)."""
         derivatives = np.zeros((inputs[0].size, theta.size))
-        for part, rows, chosen, columns in self._shares(inputs):
+        for part, rows, chosen, columns in self.shares(inputs):
             slopes = part.model.jacobian(theta[chosen], *columns)
             derivatives[rows[:, None], chosen] = slopes
         return derivatives
 
-    def _shares(
+    def shares(
         self, inputs: tuple[Array, ...]
     ) -> list[tuple[JointPart, NDArray[np.intp], list[int], list[Array]]]:
         """Return each part with its rows, the positions of its parameters, and its columns."""

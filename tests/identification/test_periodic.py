@@ -67,6 +67,18 @@ def test_a_period_that_is_tied_to_a_free_parameter_is_searched() -> None:
     assert searches_period(fit.problem)
 
 
+@pytest.mark.parametrize("fixed", [{}, {"w": 2.0}])
+def test_a_period_of_a_part_of_a_joint_fit_is_searched(fixed) -> None:
+    def line(x, b):
+        return b * x
+
+    bounds = {name: ends for name, ends in {**BOUNDS, "b": (0, 9)}.items() if name not in fixed}
+    for settings in ({}, {"constraints": "a < b"}):
+        parts = {"wave": (sine, X, Y), "line": (line, X, 3 * X + Y)}
+        fit = miho.fit_joint(parts, bounds, fixed=fixed, **settings)
+        assert searches_period(fit.problem) == (not fixed)
+
+
 def test_the_sine_of_the_magic_formula_is_no_period() -> None:
     alpha = np.linspace(-0.3, 0.3, 60)
     force = PacejkaCurvature().predict(np.array([[10, 1.5, 1, -0.5, 0, 0]]), alpha)[0]
