@@ -77,6 +77,15 @@ def walk(data: Dataset, drift: float, others: float) -> tuple[Array, Array]:
     return theta, P
 
 
+def test_a_masked_value_is_missing(problem: CurveFit, data: Dataset) -> None:
+    hidden = np.arange(ROWS) % 7 == 3
+    wrong = np.where(hidden, 1e3, data["y"])
+    masked, missing = (ExtendedKalman().start(problem, PRIOR) for _ in range(2))
+    state = masked.update({"x": data["x"], "y": np.ma.array(wrong, mask=hidden)})
+    expected = missing.update({"x": data["x"], "y": np.where(hidden, np.nan, data["y"])})
+    assert state.theta.tobytes() == expected.theta.tobytes()
+
+
 # Digits: the filters differ from the closed form by rounding alone, about 80 rows of 1e-16.
 @pytest.mark.parametrize("method", [ExtendedKalman, UnscentedKalman])
 def test_kalman_filters_are_exact_on_a_linear_model(

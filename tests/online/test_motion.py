@@ -125,6 +125,20 @@ def test_rows_at_once_one_by_one_and_after_a_gap() -> None:
     assert [*at_once.parameters().parameters] == ["B", "D"]
 
 
+def test_an_alarm_is_not_repeated_by_a_row_without_a_step() -> None:
+    tracker, rows = car_tracker(), drive(16.0, fall=8.0)
+    first = next(
+        k
+        for k in range(rows["t"].size)
+        if tracker.update({name: column[k] for name, column in rows.items()}).alarm
+    )
+    late = {name: column[first] for name, column in rows.items()}
+    state = tracker.update({**late, "t": late["t"] + 10.0})
+    assert state.alarm is None
+    assert state.rows == first
+    assert tracker.change is not None
+
+
 def test_fixed_parameters_and_scales_stay() -> None:
     problem = car_problem()
     space = Space((Parameter("B", "-", fixed=12.0), Parameter("D", "-", 0.2, 3)))
