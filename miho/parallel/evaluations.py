@@ -14,7 +14,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.parallel.errors import NoWorkersLeft
 from miho.parallel.journal import Journal, Key
@@ -26,8 +25,7 @@ from miho.parallel.remote import Answer, Raised
 from miho.parallel.rows import ByRows, Evaluated, Rows, Send, as_array
 from miho.parallel.usage import Usage
 from miho.parallel.worth import Worth, is_expensive
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 MOST_LOST = 50
 """Chunks in a row that may end their workers before the run gives up."""

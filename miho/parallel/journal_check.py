@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from miho.parallel.errors import JournalError, StaleJournalError, UncheckedJournalError
 from miho.parallel.journal import Journal, Key
 from miho.parallel.remote import Raised
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Value = Array | Raised
 
 FIRST, FURTHER = 3, 1

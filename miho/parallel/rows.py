@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.parallel.remote import Answer, Raised
+from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.parallel.evaluations import Evaluations
 
-Array = NDArray[np.float64]
 Rows = Callable[[Array], Array]
 """Maps parameter rows (n, d) to values (n, ...); the value of a row does not depend on other
 rows."""

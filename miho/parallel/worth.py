@@ -6,11 +6,9 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.parallel.usage import EXPENSIVE, Usage
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 WORTH_SENDING = 0.005
 """Shortest duration [s] of the evaluations in one message to a worker: fifty times the cost of

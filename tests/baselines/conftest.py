@@ -1,12 +1,10 @@
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import Parameter, Problem, Space
+from miho.quantities import Array
 from miho.testing import DecayFit
-
-Array = NDArray[np.float64]
 
 
 class Valley(Problem):

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from baselines.optuna_hyperband import OptunaHyperband
@@ -14,9 +13,8 @@ from miho.methods.least_squares import LeastSquares
 from miho.methods.pso import PSO, PSOState
 from miho.optim import LeastSquaresProblem, Outcome
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.testing import DecayFit
-
-Array = NDArray[np.float64]
 
 
 class Watched(DecayFit):

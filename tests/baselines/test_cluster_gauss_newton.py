@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Space, minimize
@@ -10,10 +9,9 @@ from miho.methods.cluster_gauss_newton import ClusterGaussNewton, cluster_steps,
 from miho.methods.unit_box import UnitBox
 from miho.optim import Outcome
 from miho.optim.problem import mean_square
+from miho.quantities import Array
 from miho.testing import DecayFit
 from tests.identification.published import misra1a
-
-Array = NDArray[np.float64]
 
 
 class FlipFlop(LeastSquaresProblem):

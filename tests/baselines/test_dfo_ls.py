@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+
+from miho.quantities import Array
 
 pytest.importorskip("dfols")
 
@@ -14,8 +15,6 @@ from miho.optim import BudgetExhausted, Outcome
 from miho.testing import DecayFit
 from tests.baselines.test_least_squares import OnePoint
 from tests.identification.published import misra1a
-
-Array = NDArray[np.float64]
 
 
 class Derivativeless(DecayFit):

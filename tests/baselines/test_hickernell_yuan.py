@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho import Budget, Oracle, minimize
 from miho.methods.hickernell_yuan import HickernellYuan, towards_zero
 from miho.optim import Outcome
+from miho.quantities import Array
 from miho.testing import DecayFit
 from tests.baselines.test_least_squares import Blind
 from tests.identification.published import mgh09, misra1a
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize(("problem", "rows", "certified"), [

@@ -5,13 +5,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho import Budget, Optimizer, Parameter, Problem, Space, minimize
 from miho.methods.hyperband import Hyperband, SuccessiveHalving
 from miho.optim import Outcome
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 PUBLISHED = [
     [(81, 1), (27, 3), (9, 9), (3, 27), (1, 81)],

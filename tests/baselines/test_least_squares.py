@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import Budget, LeastSquaresProblem, Optimizer, Oracle, Parameter, Space, minimize
@@ -12,11 +11,10 @@ from miho.methods.local_search import LBFGSB, NelderMead
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import BudgetExhausted, Clock, Outcome, RandomSearch
 from miho.optim.problem import mean_square
+from miho.quantities import Array
 from miho.testing import DecayFit
 from tests.baselines.test_variable_projection import Narrow, separable
 from tests.identification.published import misra1a
-
-Array = NDArray[np.float64]
 
 
 class Blind(LeastSquaresProblem):

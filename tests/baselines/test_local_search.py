@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import Budget, Optimizer, Oracle, Parameter, Problem, Space, minimize
 from miho.methods.local_search import LBFGSB, NelderMead, _analytic, _differenced, _ScaledLoss
 from miho.methods.unit_box import UnitBox
 from miho.optim import Outcome
+from miho.quantities import Array
 from miho.testing import DecayFit
-
-Array = NDArray[np.float64]
 
 
 class Rosenbrock(Problem):

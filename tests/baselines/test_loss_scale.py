@@ -5,7 +5,6 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from baselines.cma_es import CMAES
 from baselines.optuna_samplers import OptunaCMAES, OptunaTPE
@@ -18,9 +17,8 @@ from miho.methods.local_search import LBFGSB, NelderMead
 from miho.methods.loss_scale import UNUSABLE, LossScale
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import Optimizer
+from miho.quantities import Array
 from miho.testing import DecayFit
-
-Array = NDArray[np.float64]
 
 METHODS = [
     (CMAES(), 1200), (DifferentialEvolution(), 1500), (DualAnnealing(), 1000),

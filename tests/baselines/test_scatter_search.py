@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho import Budget, Oracle, Parameter, Problem, Space, minimize
 from miho.methods import scatter_search
 from miho.methods.descent import Lowest
 from miho.methods.scatter_search import ScatterSearch, _ReferenceSet, rectangles
 from miho.optim import BudgetExhausted
+from miho.quantities import Array
 from miho.testing import DecayFit
 from tests.identification.published import mgh09
-
-Array = NDArray[np.float64]
 
 
 class Bowl(Problem):

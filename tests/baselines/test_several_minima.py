@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Optimizer, Parameter, Space, minimize
 from miho.methods.cluster_gauss_newton import ClusterGaussNewton
@@ -11,8 +10,7 @@ from miho.methods.least_squares import LeastSquares
 from miho.methods.scatter_search import ScatterSearch
 from miho.methods.tiktak import TikTak
 from miho.optim.problem import mean_square
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class Oscillation(LeastSquaresProblem):

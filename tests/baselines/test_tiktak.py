@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho import Budget, Oracle, minimize
 from miho.methods import tiktak
 from miho.methods.descent import Lowest
 from miho.methods.tiktak import TikTak
 from miho.optim import Outcome
+from miho.quantities import Array
 from miho.testing import DecayFit
 from tests.identification.published import mgh09
-
-Array = NDArray[np.float64]
 
 
 def test_it_finds_the_certified_minimum() -> None:

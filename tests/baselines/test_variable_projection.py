@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from miho import Budget, CurveFit, Oracle, Parameter, Space, minimize
@@ -12,8 +11,6 @@ from miho.optim import Outcome
 from miho.optim.linear_part import solve_linear_part
 from miho.testing import DecayFit
 from tests.identification.published import Misra1a, line, misra1a
-
-Array = NDArray[np.float64]
 
 
 class SeparableMisra1a(Misra1a):

@@ -13,7 +13,6 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho.optim import (
     Budget,
@@ -28,11 +27,10 @@ from miho.optim import (
     oracle,
 )
 from miho.optim.seeds import stream
+from miho.quantities import Array
 from miho.study import Identity, RunInUse, Store, environment_stamp
 from tests.faults.commands import CHECKOUT
 from tests.faults.conftest import Figures
-
-Array = NDArray[np.float64]
 
 HOUR = 3600.0
 SIMULATED, REAL = 5.0, 0.2

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho.optim import Budget, Parameter, Problem, RandomSearch, RunRecord, Space, minimize
+from miho.quantities import Array
 from miho.study import Execution, Identity, Status, Store, execute, load_runs
 from tests.faults.conftest import Figures
 
-Array = NDArray[np.float64]
 SPACE = Space((Parameter("x", "1", -1.0, 1.0), Parameter("y", "1", -1.0, 1.0)))
 
 KILLS, FEWER_KILLS, RUNS = 200, 40, 50

@@ -25,10 +25,10 @@ from miho.optim import (
     minimize,
 )
 from miho.optim.problem import mean_square
+from miho.quantities import Array
 from miho.testing import DecayFit
 from tests.faults.conftest import Figures
 
-Array = NDArray[np.float64]
 Bad = NDArray[np.bool_]
 
 CONF = Path(__file__).parents[2] / "conf" / "optimizer"

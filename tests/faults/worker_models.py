@@ -10,11 +10,10 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim import Parameter, Problem, Space
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 SPACE = Space((Parameter("x", "1", -1.0, 1.0), Parameter("y", "1", -1.0, 1.0)))
 POLL = 0.01
 

@@ -6,20 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfilt
 
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from miho.data import Dataset
+from miho.quantities import Array
 from miho.vehicle.data import DrivingLog, load_axle_samples, load_driving_log
 from miho.vehicle.data.axle_samples import axle_samples
 from miho.vehicle.data.driving_log import low_pass
 from miho.vehicle.data.synthetic_handling import AXLES, simulated_axle_drive, simulated_weave
 from miho.vehicle.models import Pacejka, SingleTrack
-
-Array = NDArray[np.float64]
 
 CAR = SingleTrack(mass=800.0, lf=1.70, lr=1.271, Izz=850.0)
 SETTINGS = {"mass": 800.0, "lf": 1.70, "lr": 1.271, "Izz": 850.0}

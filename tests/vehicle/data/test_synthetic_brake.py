@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from miho.data import Dataset
 from miho.data.csv import read_numbers
 from miho.models import Model
+from miho.quantities import Array
 from miho.vehicle.data import (
     DrivingLog,
     brake_deceleration_test,
@@ -28,7 +29,6 @@ from miho.vehicle.data.braking_samples import braking_samples
 from miho.vehicle.data.synthetic_brake import DRAG, EMBEDDED_BRAKE, MASS, RESISTANCE
 from miho.vehicle.models import BrakeDeceleration, BrakePressure, BrakeResponse, BrakeTorque
 
-Array = NDArray[np.float64]
 TESTS = (brake_pressure_test, brake_torque_test, brake_step_test, brake_deceleration_test)
 LAW = np.array([2.52e-6, 5.9e-4, 1.24])
 

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.constants import g
 
+from miho.quantities import Array
 from miho.vehicle.data import DrivingLog, TorqueRules, load_torque_samples
 from miho.vehicle.data.torque_samples import torque_samples
 from miho.vehicle.models import Longitudinal
-
-Array = NDArray[np.float64]
 
 SETTINGS = {
     "mass": 800.0, "wheel_radius": 0.31, "final_drive": 3.0, "efficiency": 0.9,

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy import arctan, cos, sign, sin, tan
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 CAMBER_OF_TRAIL = "B_t, D_t and s take the camber itself, not gamma*"
 COSINE = "cos' alpha of the residual moment is that of alpha* as an angle"

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from miho.quantities import Array
 from miho.testing import check_model
 from miho.vehicle.models import BrakeResponse, play
-
-Array = NDArray[np.float64]
 
 
 def uneven_record() -> tuple[Array, Array]:

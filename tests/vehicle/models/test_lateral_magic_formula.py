@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import CurveFit, Dataset, Parameter, Space
+from miho.quantities import Array
 from miho.testing import check_model
 from miho.vehicle.data import embedded_tire, sample_lateral
 from miho.vehicle.models import LateralMagicFormula, load_tir, mf61_lateral, write_tir
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.magic_formula import MagicFormula
 
-Array = NDArray[np.float64]
 BASE = {"FNOMIN": 3114.0, "NOMPRES": 145000.0, "UNLOADED_RADIUS": 0.304, "LONGVL": 40.0}
 LF = load_tir(embedded_tire("lf"))
 

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from miho.models.model import central_differences
+from miho.quantities import Array
 from miho.testing import check_model
 from miho.vehicle.data import steering_test, tire_drive
 from miho.vehicle.data.synthetic_drive import DRIVE_TRUTH
 from miho.vehicle.models import single_track_drive, single_track_response
-
-Array = NDArray[np.float64]
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
 MODEL = single_track_response(CAR)

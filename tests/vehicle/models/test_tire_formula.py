@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import miho
+from miho.quantities import Array
 from miho.vehicle.data import embedded_tire
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.magic_formula_parameters import CONSTANTS
 from miho.vehicle.models.tire_formula import INPUTS, TireFormula, tire_formula
 
-Array = NDArray[np.float64]
 LF = miho.load_tir(embedded_tire("lf"))
 OLD = replace(
     LF, parameters=replace(LF.parameters, **(CONSTANTS["5.2"] | {"version": "5.2", "PHY3": 0.02}))
