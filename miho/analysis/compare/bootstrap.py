@@ -144,22 +144,7 @@ class Interval:
 
 
 def mean_error(errors: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> Interval:
-    """The mean of final errors with its bootstrap interval.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n,)
-        Final errors; inf counts as inf.
-    rng : Generator
-        Draws the resamples.
-    resamples : int
-        Number of resamples.
-
-    Returns
-    -------
-    Interval
-        The mean.
-    """
+    """The mean of final errors (n,) with its bootstrap interval; inf counts as inf."""
     means = errors[resample(len(errors), rng, resamples)].mean(axis=1)
     return interval(means, means)
 
@@ -167,21 +152,9 @@ def mean_error(errors: Array, rng: np.random.Generator, resamples: int = RESAMPL
 def improvement(
     method: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """1 - mean(method) / mean(rival): the paper's "24 % better".
+    """1 - mean(method) / mean(rival) of final errors (n,), paired: the paper's "24 % better".
 
-    Parameters
-    ----------
-    method, rival : ndarray, shape (n,)
-        Final errors, paired by repetition.
-    rng : Generator
-        Draws the resamples.
-    resamples : int
-        Number of resamples.
-
-    Returns
-    -------
-    Interval
-        1 if only the rival has no finite error, 0 if neither has.
+    It is 1 if only the rival has no finite error, and 0 if neither has.
     """
     ratio = ratio_of_means(method, rival, rng, resamples)
     best, worst = 1 - ratio.low, 1 - ratio.high
@@ -191,21 +164,9 @@ def improvement(
 def ratio_of_means(
     method: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """mean(method) / mean(rival) of final errors.
+    """mean(method) / mean(rival) of final errors (n,), paired by repetition.
 
-    Parameters
-    ----------
-    method, rival : ndarray, shape (n,)
-        Final errors, paired by repetition.
-    rng : Generator
-        Draws the resamples.
-    resamples : int
-        Number of resamples.
-
-    Returns
-    -------
-    Interval
-        The ratio. Two means without a finite value count as equal.
+    Two means without a finite value count as equal.
     """
     picks = resample(_common_length([method, rival]), rng, resamples)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -229,28 +190,8 @@ def speed_up(
     the earliest cut the lower bound. If the method does not reach the target, the lower bound is 0;
     the ratio is exactly 0 if its runs had finished.
 
-    Parameters
-    ----------
-    method : MeanCurve
-        Runs of the method.
-    rivals : sequence of MeanCurve
-        Runs of the rivals, paired by repetition: row i of every curve has the same seed.
-    target : float
-        Error.
-    rng : Generator
-        Draws the resamples.
-    resamples : int
-        Number of resamples.
-
-    Returns
-    -------
-    Interval
-        The ratio.
-
-    Raises
-    ------
-    ValueError
-        If there are no rivals or the numbers of repetitions differ.
+    Curves are paired by repetition: row i of every curve has the same seed. Raises ValueError if
+    there are no rivals or the numbers of repetitions differ.
     """
     if not rivals:
         raise ValueError("speed_up needs at least one rival")
