@@ -27,23 +27,9 @@ def refuse_changes(
     """Refuse to mix new runs with finished runs of the same requests that have changed.
 
     Finished runs have changed if they have other code, data or packages, or other settings although
-    the same overrides requested them.
-
-    Parameters
-    ----------
-    store : Store
-        The store.
-    runs : mapping of str to Identity
-        The identity of each run by its overrides, joined by spaces.
-    fresh : bool
-        Set the changed runs aside instead of raising; nothing is deleted.
-    overrides : sequence of str, optional
-        Overrides of the sweep, to compare settings with its manifest.
-
-    Raises
-    ------
-    ResumeRefused
-        If finished runs have changed and `fresh` is False.
+    the same overrides requested them; `overrides` of the sweep lead to its manifest. `runs` has the
+    identity of each run by its overrides, joined by spaces. With `fresh` the changed runs are set
+    aside, and nothing is deleted; else ResumeRefused is raised.
     """
     outdated = store.outdated(runs.values())
     old = [(folder, _changes(identity, folder)) for identity, folder in outdated]

@@ -62,25 +62,8 @@ def execute(
 
     A failed or interrupted run is stored as partial and will run again, and so is a run in which
     every evaluation raised, because that indicates a fault of the model or the installation. A run
-    whose values were all not finite is finished, with that outcome.
-
-    Parameters
-    ----------
-    store : Store
-        The store.
-    identity : Identity
-        Identity of the run.
-    job : callable
-        Makes the run.
-    space : Space
-        Space of the run's parameters.
-    facts : mapping
-        Facts of the problem that are stored with the result.
-
-    Returns
-    -------
-    Execution
-        Status and result.
+    whose values were all not finite is finished, with that outcome. `facts` of the problem are
+    stored with the result.
     """
     stored = store.find(identity)
     if stored is not None:

@@ -139,25 +139,10 @@ class Store:
         environment: Mapping[str, Any],
         facts: Mapping[str, Any],
     ) -> StoredRun:
-        """Write a finished run.
+        """Write a finished run and read it back.
 
-        Parameters
-        ----------
-        identity : Identity
-            Identity of the run.
-        record : RunRecord
-            The run.
-        space : Space
-            Space of its parameters.
-        environment : mapping
-            Environment of the run, see `environment_stamp`.
-        facts : mapping
-            Facts of its problem (unit, irreducible error ...).
-
-        Returns
-        -------
-        StoredRun
-            The run, read from its files.
+        `space` has its parameters, `environment` is as from `environment_stamp`, and `facts` are of
+        its problem (unit, irreducible error ...).
         """
         folder = self.folder(identity)
         contents = {
@@ -184,21 +169,10 @@ class Store:
         return {name: read_bytes(str(folder / name), LARGEST) for name in present}
 
     def receive(self, identity: Identity, files: Mapping[str, bytes]) -> None:
-        """Store a run from another store; requires a claim.
+        """Store a run from another store, whose `files` gave the bytes; requires a claim.
 
-        The result is written last, as in `commit`.
-
-        Parameters
-        ----------
-        identity : Identity
-            Identity of the run.
-        files : mapping of str to bytes
-            The files of the run, see `files`.
-
-        Raises
-        ------
-        DamagedRun
-            If the files are not a complete run; the error names the run.
+        The result is written last, as in `commit`. Raises DamagedRun if the files are not a
+        complete run.
         """
         folder = self.folder(identity)
         folder.mkdir(parents=True, exist_ok=True)
@@ -278,23 +252,7 @@ def _runs_by_request(folder: Path) -> dict[str, list[str]]:
 
 
 def read_run(folder: Path) -> StoredRun:
-    """Read a run folder.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    StoredRun
-        The contents of its files.
-
-    Raises
-    ------
-    DamagedRun
-        For any mismatch with the checksums, with the reason.
-    """
+    """Read a run folder; raises DamagedRun for any mismatch with the checksums."""
     result, files = read_checked(str(folder))
     try:
         contents = {name: json.loads(data) for name, data in files.items()}
