@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import selectors
 import signal
 import sys
 import tempfile
@@ -20,7 +21,6 @@ from typing import Any, Generic
 
 from miho.parallel.errors import SPURIOUS_INTERRUPT
 from miho.parallel.processes import end_family
-from miho.parallel.watch import Watch
 from miho.parallel.worker_process import (
     INTERRUPTED,
     Job,
@@ -39,6 +39,38 @@ LOST = 255
 """Exit code that multiprocessing gives to a process whose server died first."""
 MAIN = threading.Lock()
 """Lock of the thread that hides the program's main module."""
+
+
+class Watch:
+    """A set of connections and process sentinels to wait for.
+
+    They are registered once: with many workers, registering them for every wait takes longer than a
+    job.
+    """
+
+    def __init__(self) -> None:
+        self._watched: set[Any] = set()
+        self._selector = None if sys.platform == "win32" else selectors.DefaultSelector()
+
+    def add(self, *objects: Any) -> None:
+        """Add objects to wait for."""
+        for item in objects:
+            self._watched.add(item)
+            if self._selector is not None:
+                self._selector.register(item, selectors.EVENT_READ)
+
+    def remove(self, *objects: Any) -> None:
+        """Remove objects; call this before closing them."""
+        for item in objects:
+            self._watched.discard(item)
+            if self._selector is not None:
+                self._selector.unregister(item)
+
+    def ready(self, seconds: float) -> set[Any]:
+        """Objects that become readable or end within `seconds`."""
+        if self._selector is None:
+            return set(connection.wait(list(self._watched), seconds))
+        return {key.fileobj for key, _ in self._selector.select(seconds)}
 
 
 @dataclass(frozen=True)
