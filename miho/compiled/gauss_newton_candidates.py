@@ -115,29 +115,10 @@ class GNCandidates(NamedTuple):
 def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNCandidates:
     """Record whose fields are views of `numbers` (n, 4 d + 6 + levels) and `counts` (n, 7)."""
     d = R.shape[1]
-    return GNCandidates(
-        numbers,
-        counts,
-        R,
-        derivatives,
-        numbers[:, :d],
-        numbers[:, d : 2 * d],
-        numbers[:, 2 * d : 3 * d],
-        numbers[:, 3 * d : 4 * d],
-        numbers[:, 4 * d],
-        numbers[:, 4 * d + 1],
-        numbers[:, 4 * d + 2],
-        numbers[:, 4 * d + 3],
-        numbers[:, 4 * d + 4],
-        numbers[:, 4 * d + 5],
-        numbers[:, 4 * d + 6 :],
-        counts[:, 0],
-        counts[:, 1],
-        counts[:, 2],
-        counts[:, 3],
-        counts[:, 4],
-        counts[:, 5],
-        counts[:, 6],
+    vectors = (numbers[:, k * d : (k + 1) * d] for k in range(4))
+    scalars, sums = numbers[:, 4 * d : 4 * d + 6].T, numbers[:, 4 * d + 6 :]
+    return GNCandidates._make(
+        [numbers, counts, R, derivatives, *vectors, *scalars, sums, *counts.T]
     )
 
 
