@@ -1,4 +1,4 @@
-"""Models with a period that is searched, on which more claims of convergence are wrong.
+"""Models with an unknown period, on which more claims of convergence are wrong.
 
 The loss of such a model has an optimum for nearly every period, because a curve that is out of
 phase fits no better than none. Searches then agree on a wrong optimum more often.
@@ -30,8 +30,8 @@ WITH_PERIOD, WITHOUT_PERIOD = 1.5, 0.6
 """Wrong claims of `miho_gn` (%), of 393 on models with a period and of 1,458 on others
 (`python -m experiments.check.false_ends --instances 50`, `--draw 0` and `--draw 1`)."""
 REMARK = (
-    f"The model has a period that is searched: on such test problems {WITH_PERIOD:g} % of the "
-    f"default method's claims were wrong, on others {WITHOUT_PERIOD:g} %"
+    f"The model has an unknown period. On test problems with one, {WITH_PERIOD:g} % of such claims "
+    f"of the default method were wrong, on others {WITHOUT_PERIOD:g} %"
 )
 PERIODIC = ("sin", "cos", "tan")
 BOUNDED = (*PERIODIC, "arcsin", "arccos", "arctan", "arctan2", "tanh", "sign", *CONDITION)

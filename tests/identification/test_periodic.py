@@ -1,4 +1,4 @@
-"""Models with a period that is searched are recognised, and their claims state a higher rate."""
+"""Models with an unknown period are recognised, and their claims state a higher rate."""
 
 # mypy: disable-error-code="no-untyped-def"
 from typing import Any
