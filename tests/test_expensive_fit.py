@@ -21,7 +21,7 @@ from scipy.special import j0
 import miho
 from miho.models import FunctionModel, function_calls
 from miho.models.fingerprint import fingerprint
-from miho.parallel import Evaluations, Journal, JournalError, open_pool, worth
+from miho.parallel import Evaluations, Journal, JournalError, open_pool, usage, worth
 
 t = np.linspace(0, 2, 30)
 y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(30)
@@ -55,7 +55,7 @@ class Counted:
 def expensive(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as expensive, however long it takes."""
     monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
-    monkeypatch.setattr(worth, "LEAST", 0.0)
+    monkeypatch.setattr(usage, "LEAST", 0.0)
 
 
 @pytest.mark.usefixtures("expensive")

@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 import miho
-from miho.fitting.expensive_fit import pace_line
 from miho.fitting.named import METHODS, loss_of, method_of
+from miho.fitting.progress import pace_line
 from miho.identification import CurveFit
 from miho.identification.loss import Cauchy, Huber, Square
 from miho.methods import DifferentialEvolution, LeastSquares

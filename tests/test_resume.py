@@ -13,7 +13,7 @@ from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
-from miho.parallel import worth
+from miho.parallel import usage, worth
 from miho.study.files import JOURNAL
 
 MODEL = """
@@ -85,8 +85,8 @@ class Runs:
 def expensive(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as expensive, however long it takes."""
     monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
-    monkeypatch.setattr(worth, "LEAST", 0.0)
-    monkeypatch.setattr(worth, "ALONE", 0.0)
+    monkeypatch.setattr(usage, "LEAST", 0.0)
+    monkeypatch.setattr(usage, "ALONE", 0.0)
 
 
 @pytest.fixture

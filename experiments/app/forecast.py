@@ -11,8 +11,7 @@ from experiments.app.build import Experiment
 from miho.data.preview import preview
 from miho.identification import CurveFit
 from miho.models.function_model import FunctionModel
-from miho.models.leaves import expensive_leaves
-from miho.models.model import ExternalModel
+from miho.models.model import ExternalModel, expensive_leaves
 from miho.optim import Budget
 from miho.study import Store
 

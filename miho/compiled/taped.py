@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled.kernel import Climb, Rows
-from miho.compiled.threads import threads_of
 from miho.core import Tape, machine
 from miho.quantities import Array
 
@@ -49,6 +48,8 @@ class TapedLoss:
 
         def part(rows: slice) -> Array:
             return self.value.mean_squares(thetas[rows], X, y, FIRST_BLOCK)
+
+        from miho.compiled.threads import threads_of
 
         shares = equal_parts(len(thetas), parts)
         return np.concatenate(list(threads_of(self.threads).map(part, shares)))

@@ -8,16 +8,18 @@ import inspect
 import math
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.fitting.protocols import Signed, Template
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.optim import Parameter, Space
+
+if TYPE_CHECKING:
+    from miho.fitting.protocols import Signed
 
 FAR = 1e6
 """The search range of a parameter without bounds: this multiple of its start on either side."""
@@ -72,13 +74,9 @@ def data_of(
         output, values = y, x[y]
     else:
         output, values = "y", y
-    if isinstance(model, Template):
-        raise ValueError(
-            f"the model is a {type(model).__name__}; expected its parameters as well, for example "
-            f"{model.with_parameters}"
-        )
     if not isinstance(model, Model):
         if not callable(model):
+            _check_no_template(model)
             raise ValueError(
                 f"model is of type {type(model).__name__}; expected a function; the order of the "
                 "arguments is model, x, y, bounds"
@@ -86,8 +84,9 @@ def data_of(
         model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
-    if isinstance(model, Signed):
-        inputs, values = model.converted(inputs, _numbers(output, values), convention, ranges)
+    signed = signed_model(model)
+    if signed is not None:
+        inputs, values = signed.converted(inputs, _numbers(output, values), convention, ranges)
     elif convention != "iso-w" or ranges:
         raise ValueError("convention and ranges: expected for the data of a tire only; remove them")
     while output in inputs:
@@ -109,6 +108,26 @@ def data_of(
         columns[name], units[name], sigma = _numbers(name, sigma), model.output, name
     columns = _complete(model.name or "data", columns, missing)
     return Dataset(model.name or "data", columns, units, output), model, sigma
+
+
+def _check_no_template(model: object) -> None:
+    """Refuse an object that becomes a model only with its parameters."""
+    from miho.fitting.protocols import Template
+
+    if isinstance(model, Template):
+        raise ValueError(
+            f"the model is a {type(model).__name__}; expected its parameters as well, for example "
+            f"{model.with_parameters}"
+        )
+
+
+def signed_model(model: Model) -> Signed | None:
+    """The model if its quantities have a sign convention; a function has none."""
+    if isinstance(model, FunctionModel):
+        return None
+    from miho.fitting.protocols import Signed
+
+    return model if isinstance(model, Signed) else None
 
 
 def _a_column(x: Any, by_name: bool) -> str:

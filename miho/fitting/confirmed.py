@@ -17,8 +17,7 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.models.function_model import FunctionFormula, alike
-from miho.models.leaves import expensive_leaves
-from miho.models.model import Model
+from miho.models.model import Model, expensive_leaves
 from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 

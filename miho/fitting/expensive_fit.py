@@ -1,28 +1,21 @@
-"""A fit of an expensive model: workers, lines of progress, and the journal of evaluations."""
+"""A fit of an expensive model: workers, and the journal of evaluations."""
 
 from __future__ import annotations
 
-import math
 import os
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from typing import TYPE_CHECKING
 
+from miho.fitting.progress import say
+from miho.fitting.search import title
 from miho.identification.curve_fit import CurveFit
-from miho.optim import Budget, Optimizer, Oracle, RunRecord
-from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
 from miho.parallel.errors import NoWorkersLeft
-from miho.parallel.usage import span
-from miho.parallel.worth import is_expensive
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluations, Workers
 
-FIRST = 2.0
-"""Seconds before the first line of progress."""
-LIMIT = "budget=miho.Budget(seconds=60) limits it to a minute"
 JournalPath = str | os.PathLike[str] | None
 
 
@@ -61,7 +54,7 @@ def expensive_fit(
 
             book = stack.enter_context(closing(Journal(journal, problem)))
             if book.status:
-                _say(f"{title(problem)}: {book.status} ({journal})")
+                say(f"{title(problem)}: {book.status} ({journal})")
         evaluations = stack.enter_context(
             open_evaluations(problem, workers, evaluation_limit, book)
         )
@@ -77,57 +70,4 @@ def expensive_fit(
                 "them"
             ) from error
         if evaluations is not None and evaluations.workers > 1:
-            _say(str(evaluations.usage))
-
-
-def spread(problem: CurveFit, evaluations: Evaluations | None) -> CurveFit:
-    """The problem with its evaluations made by `evaluations`, if given."""
-    return problem if evaluations is None else problem.spread(evaluations)
-
-
-def title(problem: CurveFit) -> str:
-    """The name of a problem in lines on stderr: the name of its model, "model" for a lambda."""
-    name = problem.model.name or "model"
-    return "model" if name == "<lambda>" else name
-
-
-def pace_line(
-    problem: CurveFit, method: Optimizer, budget: Budget | None
-) -> Callable[[Oracle], None]:
-    """An observer that reports a long search on stderr after FIRST seconds and every ten seconds.
-
-    The first line says how to limit a search without a budget.
-    """
-    budget = budget or Budget()
-    pace = Pace(budget, FIRST)
-    endless = budget.evaluations is None and budget.seconds is None
-    hints = iter([f"; {type(method).__name__} stops by itself; {LIMIT}"] if endless else [])
-
-    def observe(oracle: Oracle) -> None:
-        pace.update(oracle)
-        if pace.line_due():
-            error = "no value yet"
-            if math.isfinite(oracle.best):
-                error = f"error {max(0.0, oracle.best) ** 0.5:.5g} {problem.unit}".rstrip()
-            _say(
-                f"{title(problem)}: {error} after {oracle.evaluations:,.0f} evaluations, "
-                f"{oracle.meter.seconds:,.0f} s{pace.words(oracle)}{next(hints, '')}"
-            )
-
-    return observe
-
-
-def interrupted(run: RunRecord) -> KeyboardInterrupt:
-    """The exception for a search that was interrupted by Ctrl-C."""
-    each = run.seconds / max(1.0, run.evaluations)
-    if not is_expensive(each):
-        return KeyboardInterrupt("the search was interrupted")
-    return KeyboardInterrupt(
-        f"the search was interrupted; an evaluation takes {span(each)}: with journal='FILE' none "
-        "is lost, and the same call continues"
-    )
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"miho: {text}\n")
-    sys.stderr.flush()
+            say(str(evaluations.usage))

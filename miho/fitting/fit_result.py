@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from miho.fitting.arguments import inputs_of
-from miho.fitting.protocols import Signed, Writable
+from miho.fitting.arguments import inputs_of, signed_model
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit
 from miho.models.traced import Remade
@@ -351,9 +350,9 @@ class Fit(Remade):
             If most Fz of a tire are negative.
         """
         inputs = inputs_of(self.problem.model, x)
-        model = self.problem.model.whole
-        if isinstance(model, Signed):
-            model.check_signs(inputs)
+        signed = signed_model(self.problem.model.whole)
+        if signed is not None:
+            signed.check_signs(inputs)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
         value, reach = self._band(*columns)
         return Prediction(value, value - reach, value + reach)
@@ -363,6 +362,8 @@ class Fit(Remade):
 
         Raises TypeError if the model is not a tire.
         """
+        from miho.fitting.protocols import Writable
+
         model = self.problem.model.whole
         if not isinstance(model, Writable):
             raise TypeError("only a fit of a tire can be written as a property file")

@@ -12,10 +12,9 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
 from miho.fitting.arguments import space_of
-from miho.fitting.expensive_fit import spread
 from miho.fitting.fit_result import Fit
 from miho.fitting.one_fit import has_priors, without_priors
-from miho.fitting.search import searched
+from miho.fitting.search import searched, spread
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import SMALLEST, examined

@@ -9,7 +9,7 @@ import numpy as np
 from miho.fitting.expensive_fit import JournalPath
 from miho.identification.constraints import free_values
 from miho.identification.curve_fit import CurveFit
-from miho.models.leaves import expensive_leaves
+from miho.models.model import expensive_leaves
 from miho.models.spread import SpreadModel
 from miho.models.tied import Tied
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from miho.fitting.arguments import check_named, data_of, space_of
 from miho.fitting.datasets import Groups, Rows
 from miho.fitting.descents import Batch, Ends, descend
-from miho.fitting.expensive_fit import title
 from miho.fitting.machine_fits import MachineFits, checked
-from miho.fitting.search import searched
+from miho.fitting.search import searched, title
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,26 +13,19 @@ import numpy as np
 
 from miho.fitting.arguments import DENSE, check_named, data_of, space_of
 from miho.fitting.confirmed import by_calls, check_repeats
-from miho.fitting.expensive_fit import (
-    JournalPath,
-    as_begun,
-    expensive_fit,
-    spread,
-    title,
-)
 from miho.fitting.fit_result import Fit
-from miho.fitting.named import check_budget, loss_of, method_of
-from miho.fitting.protocols import Template, model_of_file
-from miho.fitting.search import searched
+from miho.fitting.search import searched, spread, title
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import ties_of
-from miho.identification.loss import Loss
+from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
+    from miho.fitting.expensive_fit import JournalPath
+    from miho.fitting.protocols import Template
     from miho.parallel import Evaluations, Workers
 
 EDGE = 1e-6
@@ -173,8 +167,11 @@ def fit(
     >>> round(fit.values["b"], 4)
     1.5
     """
-    method = None if method is None else method_of(method)
-    check_budget(budget)
+    if not (method is None and budget is None):
+        from miho.fitting.named import check_budget, method_of
+
+        method = None if method is None else method_of(method)
+        check_budget(budget)
     from_journal = isinstance(start, str)
     if isinstance(start, str):
         from miho.fitting.known_start import check_start
@@ -183,17 +180,21 @@ def fit(
         start = None
     check_named(start=start, fixed=fixed, tied=tied)
     arguments = x, y, space or (), start, fixed or {}, tied or {}
-    if isinstance(model, Template):
-        model, space, start = model.model_for(*arguments)
-    elif isinstance(model, str | os.PathLike):
-        model, space, start = model_of_file(model)(model, *arguments)
-    elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
+    if not callable(model) and not isinstance(model, Model):
+        from miho.fitting.protocols import model_from
+
+        model, space, start = model_from(model, *arguments)
+    if isinstance(space, Collection) and not isinstance(space, Mapping | Space):
         raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, missing, convention, ranges)
     known = None if sigma is None or not sigma_known else sigma
-    rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
+    rho: Loss = Square()
+    if loss is not None:
+        from miho.fitting.named import loss_of
+
+        rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     stated = chosen, space, start, fixed or {}, tied or {}
     own = sought = bounds = space_of(*stated)
     if constraints or not isinstance(constraints, tuple):
@@ -207,6 +208,7 @@ def fit(
             free_values(bounds.free, ties_of(chosen, bounds), start)
 
     first: CurveFit | None = None  # its model has been examined
+    opened: AbstractContextManager[Evaluations | None]
 
     def problem_of(
         bounds: Space, prior_scale: float | None = None, expensive: bool = True
@@ -220,10 +222,17 @@ def fit(
     # If sigma is unknown, the residuals determine the weight of priors.
     settles = has_priors(bounds) and (sigma is None or not sigma_known)
     plain = without_priors(bounds) if settles else bounds
-    first = as_begun(
-        lambda expensive: problem_of(plain, expensive=expensive), journal, evaluation_limit
-    )
-    with expensive_fit(first, workers, evaluation_limit, journal) as evaluations:
+    away = not (workers is None and evaluation_limit is None and journal is None)
+    if away:
+        from miho.fitting.expensive_fit import as_begun, expensive_fit
+
+        first = as_begun(
+            lambda expensive: problem_of(plain, expensive=expensive), journal, evaluation_limit
+        )
+        opened = expensive_fit(first, workers, evaluation_limit, journal)
+    else:
+        first, opened = problem_of(plain, expensive=False), nullcontext()
+    with opened as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
             if from_journal:
@@ -233,7 +242,8 @@ def fit(
             if start is None:
                 return searched(problem, method, budget, seed, evaluations)
             fit = descended(problem, start, evaluations)
-            _check_within(sought, own, fit.values)
+            if sought is not own:
+                _check_within(sought, own, fit.values)
             return fit
 
         if not settles:

@@ -130,6 +130,40 @@ class Writable(Protocol):
         """
 
 
+def model_from(
+    model: Any,
+    x: Any,
+    y: Any,
+    space: Any,
+    start: Mapping[str, float] | None,
+    fixed: Mapping[str, float],
+    tied: Mapping[str, str],
+) -> Stated:
+    """Return the model, bounds and start of a `Template` or of a file; other objects unchanged.
+
+    Parameters
+    ----------
+    model : Template, path or object
+        The object.
+    x, y, space, start, fixed, tied
+        As for `Template.model_for`.
+
+    Returns
+    -------
+    model : Model
+        The model.
+    bounds : Space, mapping or None
+        Bounds of the free parameters.
+    start : mapping of str to float or None
+        Start of the fit.
+    """
+    if isinstance(model, Template):
+        return model.model_for(x, y, space, start, fixed, tied)
+    if isinstance(model, str | os.PathLike):
+        return model_of_file(model)(model, x, y, space, start, fixed, tied)
+    return model, space, start
+
+
 def model_of_file(path: str | os.PathLike[str]) -> Callable[..., Stated]:
     """Return the function that makes a model from a file.
 

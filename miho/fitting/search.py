@@ -4,32 +4,34 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from miho.fitting.confirmed import by_calls, check_repeats, compared_at
-from miho.fitting.expensive_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
-from miho.fitting.named import check_budget, method_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit, refit
-from miho.identification.within_noise import optima_within_noise
 from miho.optim import (
     MIHOGN,
     Budget,
     Minimum,
     Optimizer,
+    Oracle,
     Outcome,
     RunRecord,
     minimize,
 )
+from miho.optim.trace import in_place
 from miho.optim.usable_values import NOT_FINITE
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluations
 
 DEFAULT = MIHOGN()
+QUIET = 1.0
+"""Seconds of a search without any output."""
 
 
 def searched(
@@ -44,17 +46,22 @@ def searched(
     `evaluations` runs the search and the descent on workers. Raises KeyboardInterrupt after Ctrl-C,
     and ValueError if no finite value was found.
     """
-    method = DEFAULT if method is None else method_of(method)
-    check_budget(budget)
-    budget = budget or Budget()
+    if not (method is None and budget is None):
+        from miho.fitting.named import check_budget, method_of
+
+        method = None if method is None else method_of(method)
+        check_budget(budget)
+    method, budget = method or DEFAULT, budget or Budget()
     called = by_calls(problem, compared_at(problem), evaluations)
     if called is not None:
         problem, evaluations = called, None
     run = minimize(
         method, problem, budget, seed,
-        workers=evaluations, observer=pace_line(problem, method, budget),
+        workers=evaluations, observer=_observer(problem, method, budget),
     )  # fmt: skip
     if run.outcome is Outcome.INTERRUPTED:
+        from miho.fitting.progress import interrupted
+
         raise interrupted(run)
     name = title(problem)
     # A small budget may end before any look at all rows of the data.
@@ -88,6 +95,21 @@ def searched(
     return _with_others(fit, descent, evaluations)
 
 
+def _observer(problem: CurveFit, method: Optimizer, budget: Budget) -> Callable[[Oracle], None]:
+    """An observer that reports a long search on stderr."""
+    began, lines = time.monotonic(), list[Callable[[Oracle], None]]()
+
+    def observe(oracle: Oracle) -> None:
+        if not lines and time.monotonic() - began >= QUIET:
+            from miho.fitting.progress import pace_line
+
+            lines.append(pace_line(problem, method, budget, began))
+        for line in lines:
+            line(oracle)
+
+    return observe
+
+
 def _counted(rejected: Mapping[str, int]) -> str:
     """The reasons for which evaluations have no value, each with its count."""
     return "; ".join(f"{n:,} x {reason}" for reason, n in rejected.items())
@@ -101,6 +123,10 @@ def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> F
     if fit.descents is None:
         return fit
     minima = fit.descents.minima
+    if all(in_place(each.theta, optimum.theta) for each in minima):
+        return fit
+    from miho.identification.within_noise import optima_within_noise
+
     problem = spread(fit.problem, evaluations)
     optima = optima_within_noise(problem, optimum, minima, fit.level)
     if len(optima) == 1:
@@ -121,3 +147,14 @@ def _left(budget: Budget, run: RunRecord) -> Budget | None:
     few = evaluations is not None and evaluations < run.evaluations
     late = seconds is not None and seconds < run.seconds
     return None if few or late else replace(budget, evaluations=evaluations, seconds=seconds)
+
+
+def spread(problem: CurveFit, evaluations: Evaluations | None) -> CurveFit:
+    """The problem with its evaluations made by `evaluations`, if given."""
+    return problem if evaluations is None else problem.spread(evaluations)
+
+
+def title(problem: CurveFit) -> str:
+    """The name of a problem in lines on stderr: the name of its model, "model" for a lambda."""
+    name = problem.model.name or "model"
+    return "model" if name == "<lambda>" else name

@@ -23,13 +23,11 @@ from miho.identification.curve_fit_checks import (
     with_defaults,
 )
 from miho.identification.loss import Loss, Square, slope
-from miho.identification.residual_formula import ResidualFormula, residual_formula
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
-from miho.models.leaves import called, description, expensive_leaves, spread, tried_calls
-from miho.models.model import Model
-from miho.models.traced import Remade, TracedExpression
+from miho.models.model import Model, expensive_leaves
+from miho.models.traced import Remade, TracedExpression, is_formula
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Parameter, Space
@@ -40,6 +38,7 @@ if TYPE_CHECKING:
     from miho.compiled.kernel import Rows
     from miho.compiled.taped import TapedLoss
     from miho.identification.prior import PriorResiduals
+    from miho.identification.residual_formula import ResidualFormula
     from miho.parallel import Evaluations
 
 FRACTION = 1e-12
@@ -54,7 +53,7 @@ REMEMBERED = 1 << 20
 """Errors to remember, as numbers, for the derivatives of a robust loss at the same
 configurations."""
 OF_THE_MODEL = (
-    "noise", "_fitted", "_taped", "_residual_formula", "_taped_residuals", "_of_thread",
+    "noise", "_fitted", "_taped", "_formula", "_residual_formula", "_taped_residuals", "_of_thread",
 )  # fmt: skip
 """Cached attributes that depend on the form of the model."""
 BLOCK = 50_000
@@ -262,13 +261,13 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def kernel(self) -> FitKernel | None:
         """Fast forms of the loss, None if the machine cannot run it."""
-        formula = self._residual_formula if self.compiled else None
+        formula = self._formula if self.compiled else None
         taped = None if formula is None else self._taped_residuals
         if formula is None or taped is None:
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
-        return kernel_for(taped, formula.model, thetas, name=name)
+        return kernel_for(taped, formula, thetas, name=name)
 
     @property
     def _plain(self) -> bool:
@@ -276,15 +275,25 @@ class CurveFit(Remade, LeastSquaresProblem):
         return self._square and self.prior is None
 
     @cached_property
+    def _formula(self) -> Expression | None:
+        """Formula of the residuals plus a target, None if the model is no formula."""
+        if self._plain:
+            fitted = self._fitted
+            return fitted if isinstance(fitted, Expression) and is_formula(fitted) else None
+        return None if self._residual_formula is None else self._residual_formula.model
+
+    @cached_property
     def _residual_formula(self) -> ResidualFormula | None:
         """All residuals as a formula, or None if the model is no formula."""
+        from miho.identification.residual_formula import residual_formula
+
         return residual_formula(self._fitted, self._columns, self._target, self.rho, self.prior)
 
     @cached_property
     def _taped_residuals(self) -> TapedLoss | None:
         """All residuals on the machine, None if it cannot run them."""
-        formula = self._residual_formula
-        if self._plain or formula is None:
+        formula = None if self._plain else self._residual_formula
+        if formula is None:
             return self._taped
         model, columns, target = formula
 
@@ -372,19 +381,29 @@ class CurveFit(Remade, LeastSquaresProblem):
 
         Bounds, ties, sigma, priors and the loss may change without a change of the outputs.
         """
+        from miho.models.leaves import description
+
         return description(self.model, (*self.inputs, self._output))
 
     @property
     def called_as(self) -> list[list[bool | None]]:
         """How trial calls have shown that the model's functions are to be called."""
+        from miho.models.leaves import tried_calls
+
         return tried_calls(self.model)
 
     def called(self, calls: Sequence[Any]) -> CurveFit:
         """This problem with its functions called as in `called_as` of the same problem."""
-        return self._with(called(self.model, calls)) if calls else self
+        if not calls:
+            return self
+        from miho.models.leaves import called
+
+        return self._with(called(self.model, calls))
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model evaluated by workers; itself if the model is arithmetic."""
+        from miho.models.leaves import spread
+
         return self._with(spread(self.model, evaluations, self.losses_of))
 
     def _with(self, model: Model) -> CurveFit:

@@ -16,9 +16,7 @@ from miho.data.dataset import Dataset
 from miho.identification.loss import Square
 from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionFormula, FunctionModel
-from miho.models.leaves import expensive_leaves
-from miho.models.model import DifferencedModel, ExternalModel, Model
-from miho.models.plain_arithmetic import is_arithmetic
+from miho.models.model import DifferencedModel, ExternalModel, Model, expensive_leaves
 from miho.optim.space import Parameter, Space
 from miho.parallel.worth import is_expensive
 from miho.quantities import Array
@@ -195,11 +193,18 @@ def examined(
         return model
     thetas = _trials_of(model, space)
     columns = [dataset[name] for name in model.inputs]
-    if model.source is None or is_arithmetic(model.function):
+    if model.source is None or _is_arithmetic(model):
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
     return model if expensive else model.tried_at(thetas, *columns)
+
+
+def _is_arithmetic(model: FunctionModel) -> bool:
+    """Whether the text of a function is plain arithmetic."""
+    from miho.models.plain_arithmetic import is_arithmetic
+
+    return is_arithmetic(model.function)
 
 
 def _trials_of(model: FunctionModel, space: Space) -> Array:

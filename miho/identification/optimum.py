@@ -17,7 +17,8 @@ from miho.identification.irreducible import irreducible_of
 from miho.identification.periodic import REMARK, searches_period
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
-from miho.optim.zero import is_rounding, is_zero
+from miho.optim.evidence import is_rounding
+from miho.optim.zero import is_zero
 from miho.quantities import Array
 
 LINEAR = 1e-9

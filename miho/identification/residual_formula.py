@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.models.expression import Expression
 from miho.models.model import Model
-from miho.models.symbolic import NotAFormulaError
+from miho.models.traced import is_formula
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -55,7 +54,4 @@ def residual_formula(
             (*padded, row),
             np.append(formula.target, np.zeros(P)),
         )
-    with contextlib.suppress(NotAFormulaError):
-        _ = formula.model.value
-        return formula
-    return None
+    return formula if is_formula(formula.model) else None

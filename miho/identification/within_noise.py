@@ -11,7 +11,7 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Deadline, Refit, refit
-from miho.optim.trace import SAME_PLACE, Minimum
+from miho.optim.trace import Minimum, in_place
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class _Known:
 
     def is_at(self, theta: Array) -> bool:
         """Whether parameters (d,) are within REPEATED standard errors of the optimum."""
-        if np.allclose(theta, self.fit.theta, rtol=SAME_PLACE, atol=0):
+        if in_place(theta, self.fit.theta):
             return True
         step = self._slopes @ (theta - self.fit.theta)
         return bool(step @ step <= REPEATED**2 * _roughly(self._problem, self.fit)[0])

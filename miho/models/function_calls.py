@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import dis
 import math
 import time
 from collections.abc import Callable, Sequence
+from types import CellType, CodeType, FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -222,3 +224,29 @@ def inner_rows(columns: Columns, most: int) -> NDArray[np.intp]:
     rows = np.random.default_rng(0).permutation(np.flatnonzero(inner))
     rows = rows[: min(most, inner.size // 2)]
     return rows if rows.size >= 2 else rows[:0]
+
+
+def may_catch(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
+    """Return whether a function, or one of its module that it uses, may catch errors.
+
+    Such a function may hide that it does not support arrays. `callers` are functions that use it.
+    """
+    function = getattr(function, "__func__", function)
+    if not isinstance(function, FunctionType) or function in callers:
+        return False
+    codes, names = [function.__code__], set[str]()
+    for code in codes:
+        if code.co_exceptiontable and any(
+            instruction.opname == "PUSH_EXC_INFO" for instruction in dis.get_instructions(code)
+        ):
+            return True
+        names.update(code.co_names)
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+    used = [function.__globals__.get(name) for name in names]
+    used += [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
+    module = function.__module__
+    return any(
+        may_catch(value, (*callers, function))
+        for value in used
+        if isinstance(value, FunctionType) and value.__module__ == module
+    )

@@ -20,9 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled.kernel import Formula
-from miho.models.function_calls import CONFIGURATIONS, UNTRIED, Calls, FunctionCalls, tried_rowwise
+from miho.models.function_calls import (
+    CONFIGURATIONS,
+    UNTRIED,
+    Calls,
+    FunctionCalls,
+    may_catch,
+    tried_rowwise,
+)
 from miho.models.model import DifferencedModel, Model
-from miho.models.plain_arithmetic import may_catch
 from miho.models.symbolic import (
     NotAFormulaError,
     Symbol,

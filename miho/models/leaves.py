@@ -1,4 +1,4 @@
-"""Leaves of a model: the components that may be expensive, and how they are called."""
+"""Components of a model that may be expensive: how they are called, and where."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from miho.models.function_calls import UNTRIED, Calls
 from miho.models.function_model import FunctionModel
-from miho.models.model import Model
+from miho.models.model import Model, expensive_leaves
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -20,18 +20,6 @@ if TYPE_CHECKING:
 
 DIGITS = 16
 """Length of the digests that identify a journal."""
-
-
-def expensive_leaves(model: Model) -> list[Model]:
-    """Return the components of a model that may be expensive, in their order."""
-    leaves = list[Model]()
-
-    def note(leaf: Model) -> Model:
-        leaves.append(leaf)
-        return leaf
-
-    model.with_leaves(note)
-    return leaves
 
 
 def spread(

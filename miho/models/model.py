@@ -283,3 +283,15 @@ def _two_sided(
         high = np.where((below & ~above)[:, None], centre, high)
         low = np.where((above & ~below)[:, None], centre, low)
     return high, low, np.where(above == below, 2.0, 1.0)
+
+
+def expensive_leaves(model: Model) -> list[Model]:
+    """Return the components of a model that may be expensive, in their order."""
+    leaves = list[Model]()
+
+    def note(leaf: Model) -> Model:
+        leaves.append(leaf)
+        return leaf
+
+    model.with_leaves(note)
+    return leaves

@@ -7,9 +7,8 @@ file or ends the process is therefore never called to find out what it computes.
 from __future__ import annotations
 
 import ast
-import dis
 import math
-from types import BuiltinFunctionType, CellType, CodeType, FunctionType
+from types import BuiltinFunctionType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -58,32 +57,6 @@ def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool
     used += [of_module(attribute) for attribute in attributes]
     return all(isinstance(node, SYNTAX) for node in nodes) and all(
         _is_of_numbers(value) or is_arithmetic(value, (*callers, function)) for value in used
-    )
-
-
-def may_catch(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
-    """Return whether a function, or one of its module that it uses, may catch errors.
-
-    Such a function may hide that it does not support arrays. `callers` are functions that use it.
-    """
-    function = getattr(function, "__func__", function)
-    if not isinstance(function, FunctionType) or function in callers:
-        return False
-    codes, names = [function.__code__], set[str]()
-    for code in codes:
-        if code.co_exceptiontable and any(
-            instruction.opname == "PUSH_EXC_INFO" for instruction in dis.get_instructions(code)
-        ):
-            return True
-        names.update(code.co_names)
-        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
-    used = [function.__globals__.get(name) for name in names]
-    used += [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
-    module = function.__module__
-    return any(
-        may_catch(value, (*callers, function))
-        for value in used
-        if isinstance(value, FunctionType) and value.__module__ == module
     )
 
 

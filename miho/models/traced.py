@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
 from miho.models.formula_text import written
-from miho.models.symbolic import Symbol, argument, gradient, jointly_linear
+from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, jointly_linear
 
 Known = tuple[Formula, tuple[int, ...]]
 KNOWN: WeakKeyDictionary[Formula, Known] = WeakKeyDictionary()
@@ -25,6 +25,15 @@ class Remade:
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields only; a field that an older pickle lacks has its default."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+
+def is_formula(model: Expression) -> bool:
+    """Return whether the value of a model has a formula."""
+    try:
+        _ = model.value
+    except NotAFormulaError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)

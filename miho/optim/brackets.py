@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.optim.schedule import luby
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
@@ -87,6 +86,23 @@ def check_brackets(settings: Brackets) -> None:
             f"max_candidates is {settings.max_candidates}; expected at least min_candidates, "
             f"{settings.min_candidates}"
         )
+
+
+def luby(k: int) -> int:
+    """Element k = 1, 2, ... of 1 1 2 1 1 2 4 ..., the universal sequence of restarts [1]_.
+
+    Tries of these lengths need at most a logarithmic factor more than the best fixed length.
+
+    References
+    ----------
+    .. [1] M. Luby, A. Sinclair, D. Zuckerman, "Optimal speedup of Las Vegas algorithms",
+       Information Processing Letters 47 (1993) 173-180.
+    """
+    while True:
+        digits = k.bit_length()
+        if k == 2**digits - 1:
+            return int(2 ** (digits - 1))
+        k -= 2 ** (digits - 1) - 1
 
 
 def draw_starts(

@@ -6,12 +6,11 @@ import contextlib
 
 import numpy as np
 
-from miho.optim.evidence import Agreement, in_optimum
+from miho.optim.evidence import EPSILON, Agreement, in_optimum
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState, at_bound
 from miho.optim.oracle import Oracle
-from miho.optim.zero import EPSILON, is_zero
 
 MOST = 3 / 4
 """Share of the ends with a known loss that a doubtful optimum needs. For wrong optima on families
@@ -85,6 +84,8 @@ def solves(state: MIHOGNState, oracle: Oracle) -> bool:
     theta = state.space.decode(x)
     if not oracle.affords(oracle.jacobian_cost + 1):
         raise BudgetExhausted
+    from miho.optim.zero import is_zero
+
     zero = False
     with contextlib.suppress(UnusableValueError):
         J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0)

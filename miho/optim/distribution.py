@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Literal
 from miho.optim.meter import Meter
 from miho.optim.problem import Problem
 from miho.optim.usable_values import UsableValues, read_only
-from miho.parallel.pending import Ahead
 from miho.quantities import Array
 
 if TYPE_CHECKING:
-    from miho.parallel import Evaluations
+    from miho.parallel import Ahead, Evaluations
     from miho.parallel.usage import Usage
 
 Kind = Literal["loss", "residuals", "jacobian"]
@@ -98,7 +97,11 @@ class Distribution:
                 for theta in rows:
                     self._values.least_squares.jacobian(theta, *part)
 
-        return Ahead([], ask) if self._evaluations is None else self._evaluations.ahead(ask)
+        if self._evaluations is not None:
+            return self._evaluations.ahead(ask)
+        from miho.parallel import Ahead
+
+        return Ahead([], ask)
 
     def first_ready(self, needs: Sequence[Ahead]) -> int:
         """Position of the first of these evaluations that is complete; waits for one of them.

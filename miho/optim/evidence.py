@@ -31,9 +31,11 @@ References
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+EPSILON = sys.float_info.epsilon
 AGREEING = 1e-4
 """Descents whose losses differ by less than this fraction ended in one optimum. Solvers leave far
 smaller differences (their usual tolerance is 1e-10), and different optima differ by more."""
@@ -169,3 +171,12 @@ def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:
 def highest_in_optimum(best: float, rounding: float = 0.0) -> float:
     """Largest loss of a descent that ended in the optimum of this loss."""
     return best + AGREEING * abs(best) + rounding
+
+
+def is_rounding(loss: float, rounding: float, resolution: float) -> bool:
+    """Whether a loss is zero by the `rounding` of a problem, which is below its `resolution`.
+
+    An error that counts as zero is then below 1.5e-8 (the root of EPSILON) of the standard
+    deviation of the data, because `resolution` is EPSILON of their variance.
+    """
+    return loss == 0 or loss <= rounding < resolution

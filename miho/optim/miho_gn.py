@@ -32,14 +32,13 @@ from miho.compiled.phases import (
 )
 from miho.optim.brackets import around, draw_starts
 from miho.optim.credibility import check_structure, credible, is_tested, solves
-from miho.optim.evidence import in_optimum
+from miho.optim.evidence import in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.zero import is_rounding
 
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in this number, then on all

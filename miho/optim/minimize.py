@@ -24,7 +24,6 @@ from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import Problem
 from miho.optim.seeds import stream
-from miho.optim.spread import spread_problem
 from miho.optim.trace import Descents, Trace
 from miho.parallel.errors import SPURIOUS_INTERRUPT, NoWorkersLeft, StaleJournalError
 from miho.quantities import Array
@@ -204,7 +203,7 @@ def minimize(
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)
     space = problem.space.seeded(problem.name, seed)
     meter = None if checkpoint is None else checkpoint.meter
-    with spread_problem(problem, workers, evaluation_limit, journal) as (spread, evaluations):
+    with _spread(problem, workers, evaluation_limit, journal) as (spread, evaluations):
         setup_started = time.perf_counter()
         _load(optimizer, problem)
         setup_seconds = time.perf_counter() - setup_started
@@ -236,6 +235,17 @@ def minimize(
         usage=None if evaluations is None else evaluations.usage,
         provisional=None if len(meter.trace) or early is None else early.theta,
     )
+
+
+def _spread(
+    problem: Problem, workers: Workers | Evaluations, limit: float | None, journal: JournalFile
+) -> contextlib.AbstractContextManager[tuple[Any, Evaluations | None]]:
+    """The problem with its evaluations on workers or in a journal, if there are any."""
+    if workers is None and limit is None and journal is None:
+        return contextlib.nullcontext((problem, None))
+    from miho.optim.spread import spread_problem
+
+    return spread_problem(problem, workers, limit, journal)
 
 
 def _search(

@@ -16,14 +16,15 @@ LOGGED = 10.0
 class Pace:
     """Current speed of a run; call `update` about ten times a second.
 
-    The first line of a log is due after `first` seconds.
+    The first line of a log is due after `first` seconds. If the run `began` earlier, at this time
+    of `time.monotonic`, it had made no evaluation then.
     """
 
-    def __init__(self, budget: Budget, first: float = LOGGED) -> None:
+    def __init__(self, budget: Budget, first: float = LOGGED, began: float | None = None) -> None:
         self._budget = budget
-        self._points = deque[tuple[float, float]]()
+        self._points = deque[tuple[float, float]]() if began is None else deque([(began, 0.0)])
         self._known = 0
-        self._logged = time.monotonic() + first - LOGGED
+        self._logged = (time.monotonic() if began is None else began) + first - LOGGED
 
     def update(self, oracle: Oracle) -> None:
         """Record the progress; evaluations from the journal do not count as speed."""

@@ -1,4 +1,4 @@
-"""Schedules: Hyperband's brackets and rungs (Alg. 1, lines 1-6), and Luby's sequence."""
+"""The schedule of Hyperband: its brackets and rungs (Alg. 1, lines 1-6)."""
 
 from __future__ import annotations
 
@@ -87,20 +87,3 @@ def hyperband_table(R: int, eta: int, rounding: str = "ceil") -> tuple[Rung, ...
         n = -(-(s_max + 1) * eta**s // (s + 1))
         rungs += [Rung(s, j, max(1, n // eta**j), R * eta**j // eta**s) for j in range(s + 1)]
     return tuple(rungs)
-
-
-def luby(k: int) -> int:
-    """Element k = 1, 2, ... of 1 1 2 1 1 2 4 ..., the universal sequence of restarts [1]_.
-
-    Tries of these lengths need at most a logarithmic factor more than the best fixed length.
-
-    References
-    ----------
-    .. [1] M. Luby, A. Sinclair, D. Zuckerman, "Optimal speedup of Las Vegas algorithms",
-       Information Processing Letters 47 (1993) 173-180.
-    """
-    while True:
-        digits = k.bit_length()
-        if k == 2**digits - 1:
-            return int(2 ** (digits - 1))
-        k -= 2 ** (digits - 1) - 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -225,6 +225,11 @@ def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
         if len(minima) == MOST_MINIMA:
             break
     return tuple(minima)
+
+
+def in_place(theta: Sequence[float] | Array, known: Array) -> bool:
+    """Whether each parameter (d,) differs from a known place (d,) by at most SAME_PLACE."""
+    return bool(np.allclose(theta, known, rtol=SAME_PLACE, atol=0))
 
 
 def _same_place(known: Minimum, theta: Array, end: float, near: Array) -> bool:

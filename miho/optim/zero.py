@@ -22,10 +22,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from miho.optim.evidence import EPSILON
 from miho.optim.space import Space
 from miho.quantities import Array
 
-EPSILON = float(np.finfo(float).eps)
 ROUNDINGS = 10.0
 """Number of roundings that add up in a residual: of the coordinate, the parameter and the
 operations of the model."""
@@ -33,15 +33,6 @@ CANCELLED = 1e-4
 """At a solution the residuals are at most this share of the terms that cancel. They are far smaller
 if only rounding is left. A double root, as in Powell's singular function, is found to half of the
 digits, and its terms cancel to 1e-7, or 4e-6 in a box of 10^5."""
-
-
-def is_rounding(loss: float, rounding: float, resolution: float) -> bool:
-    """Whether a loss is zero by the `rounding` of a problem, which is below its `resolution`.
-
-    An error that counts as zero is then below 1.5e-8 (the root of EPSILON) of the standard
-    deviation of the data, because `resolution` is EPSILON of their variance.
-    """
-    return loss == 0 or loss <= rounding < resolution
 
 
 def is_zero(r: Array, J: Array, x: Array, space: Space) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 from miho.parallel.pool import Pool, value_of
 from miho.parallel.process_executor import WorkerLostError
 from miho.parallel.remote import Answer
-from miho.parallel.worth import WORTH_SENDING
+from miho.parallel.usage import WORTH_SENDING
 
 LEAST, MOST = 1e-9, 1000
 """Shortest assumed duration of a call [s], and the most calls in a block. Calls shorter than about

@@ -23,8 +23,8 @@ from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import HungError, OverdueError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
 from miho.parallel.rows import ByRows, Evaluated, Rows, Send, as_array
-from miho.parallel.usage import Usage
-from miho.parallel.worth import Worth, is_expensive
+from miho.parallel.usage import Usage, Worth
+from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 
 MOST_LOST = 50

@@ -20,7 +20,7 @@ import pytest
 
 import miho
 from miho.models import FunctionModel
-from miho.parallel import JournalError, worth
+from miho.parallel import JournalError, usage, worth
 from tests.faults.commands import forked
 from tests.faults.conftest import Figures
 from tests.parallel.changed_models import LINE, RANDOM, WAYS, search
@@ -37,7 +37,7 @@ t, y = LINE["t"], LINE["y"]
 )
 def test_changed_models(tmp_path: Path, measured: Figures) -> None:
     """Each way with the number 1, again with 1, and then with 2."""
-    worth.EXPENSIVE = worth.LEAST = 0.0  # type: ignore[misc]  # in the process of this row
+    worth.EXPENSIVE = usage.LEAST = 0.0  # type: ignore[misc]  # in the process of this row
     counts: Counter[str] = Counter()
     wrong = []
     for name, make in WAYS.items():

@@ -30,7 +30,7 @@ from miho.optim import (
 from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGNState
 from miho.optim.distribution import Distribution, Kind
 from miho.optim.miho_gn_state import MIHOGNState
-from miho.parallel import Ahead, worth
+from miho.parallel import Ahead, usage
 from tests.optim.decays import Outside, fit
 
 Array = NDArray[np.float64]
@@ -147,8 +147,8 @@ def test_a_cheap_loss_has_one_evaluation_at_a_time_and_says_so(
     workers: Shuffling, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is sent, and the run is that without workers to the last bit."""
-    monkeypatch.setattr(worth, "ALONE", math.inf)  # however busy the machine is
-    monkeypatch.setattr(worth, "WORTH_SENDING", math.inf)
+    monkeypatch.setattr(usage, "ALONE", math.inf)  # however busy the machine is
+    monkeypatch.setattr(usage, "WORTH_SENDING", math.inf)
     problem, budget = Outside(fit()), Budget(evaluations=200)
     alone = minimize(BRACKETS, problem, budget, seed=1)
     record = minimize(BRACKETS, problem, budget, seed=1, workers=workers)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from miho.optim import Parameter, Space
-from miho.optim.brackets import DECADES, TURNS, Brackets, around, by_scale, draw_starts
-from miho.optim.schedule import luby
+from miho.optim.brackets import DECADES, TURNS, Brackets, around, by_scale, draw_starts, luby
 from miho.quantities import Array
 
 

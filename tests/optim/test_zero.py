@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import miho
-from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, credibility, minimize
-from miho.optim.zero import EPSILON, is_rounding, is_zero
+from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, minimize, zero
+from miho.optim.evidence import EPSILON, is_rounding
+from miho.optim.zero import is_zero
 
 SEEDS = range(5)
 BY_AGREEMENT = 7
@@ -61,7 +62,7 @@ def test_without_the_rule_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) ->
     problem = solved("powell_singular", 0).problem
     run = minimize(MIHOGN(max_brackets=20), problem)
     assert run.outcome is Outcome.CONVERGED
-    monkeypatch.setattr(credibility, "is_zero", lambda *_: False)
+    monkeypatch.setattr(zero, "is_zero", lambda *_: False)
     longer = minimize(MIHOGN(max_brackets=20), problem)
     assert longer.evaluations > 1.5 * run.evaluations
 

@@ -24,6 +24,7 @@ from miho.parallel import (
     StaleJournalError,
     UncheckedJournalError,
     open_pool,
+    usage,
     worth,
 )
 from miho.parallel.journal_check import _gap, _words
@@ -37,7 +38,7 @@ PROBLEM = SimpleNamespace(description="problem", called_as=())
 def expensive(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as expensive, however long it takes."""
     monkeypatch.setattr(worth, "EXPENSIVE", 0.0)
-    monkeypatch.setattr(worth, "LEAST", 0.0)
+    monkeypatch.setattr(usage, "LEAST", 0.0)
 
 
 @pytest.mark.parametrize("name", WAYS)

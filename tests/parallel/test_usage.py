@@ -7,8 +7,7 @@ import json
 import pytest
 
 from miho.parallel import usage as module
-from miho.parallel.usage import Usage
-from miho.parallel.worth import AGAIN, ALONE, IN_A_ROW, Worth
+from miho.parallel.usage import AGAIN, ALONE, IN_A_ROW, Usage, Worth
 
 
 @pytest.mark.parametrize(
