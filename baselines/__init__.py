@@ -1,3 +1,3 @@
 """The bench: methods that wrap other libraries, published problems and the arena."""
 
-import miho.moved  # noqa: F401 -- answers for former names
+import miho.exports  # noqa: F401 -- answers for former names

@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING
 
-import miho.moved  # noqa: F401 -- answers for former names
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:

@@ -1,10 +1,10 @@
-"""Lazy imports: the exported names of a package are imported at their first use."""
+"""Imports: the exported names of a package are imported at their first use; former names answer."""
 
 from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -65,3 +65,21 @@ def _submodule(package: str, name: str) -> object:
         if error.name != f"{package}.{name}":
             raise
         raise AttributeError(f"module {package!r} has no attribute {name!r}") from None
+
+
+class FormerNames:
+    """The last finder of imports, which names the successor of a former name."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> None:
+        """Raise ModuleNotFoundError for a former name."""
+        if name.partition(".")[0] not in ("miho", "baselines"):
+            return
+        from miho.moved import new_name
+
+        new = new_name(name)
+        if new is not None:
+            raise ModuleNotFoundError(f"{name} is now {new}")
+
+
+sys.meta_path.append(FormerNames)

@@ -1,9 +1,7 @@
-"""Former names: an import of one raises an error of one line with the present name."""
+"""Former names, with the present ones for the error of an import (`miho.exports`)."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -114,17 +112,3 @@ def with_present_names(config: Any) -> Any:
             for key, value in config.items()
         }
     return [with_present_names(value) for value in config] if isinstance(config, list) else config
-
-
-class FormerNames:
-    """The last finder of imports, which names the successor of a former name."""
-
-    @staticmethod
-    def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> None:
-        """Raise ModuleNotFoundError for a former name."""
-        new = new_name(name)
-        if new is not None:
-            raise ModuleNotFoundError(f"{name} is now {new}")
-
-
-sys.meta_path.append(FormerNames)

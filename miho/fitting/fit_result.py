@@ -409,45 +409,11 @@ class Fit(Remade):
 
     def __str__(self) -> str:
         """The parameters, the error, the evidence for the optimum, and the caveats."""
+        from miho.fitting.printed_fit import printed
         from miho.identification.line_wrapping import wrapped
 
-        table, lines = self._printed()
+        table, lines = printed(self)
         return "\n".join([table, *map(wrapped, lines)])
-
-    def _printed(self) -> tuple[str, list[str]]:
-        """The table of parameters as text, and the lines below it, of any length."""
-        from miho.identification.dependence import alike_beside_priors
-        from miho.identification.stated import at_limits, marked
-
-        table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
-        rows = len(self.problem.dataset)
-        error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
-        weights = "" if self.problem.weights is None else ", weighted by sigma"
-        alike = "; intervals allow for correlated errors of neighbouring rows"
-        narrow = (
-            "; errors of neighbouring rows are correlated, and intervals do not allow for them "
-            "together with priors"
-        )
-        priors = bool(alike_beside_priors(self.problem, self.theta))
-        try:
-            marks = marked(self.problem, self.theta, self.uncertainty)
-        except ValueError:  # too few rows
-            marks = marked(self.problem, self.theta, None)
-        size = "; ".join([f"{error} (root mean square of {rows:,} rows{weights})", *marks])
-        size += f"{alike * self._dependent}{narrow * priors}"
-        # The caveats explain an optimum in doubt.
-        limits = " ".join(f"{limit}." for limit in at_limits(self.problem, self.theta))
-        known = limits if self._conclusion.doubt else self.optimum.replace(". ", ".\n")
-        caveats = (f"- {sentence}" for sentence in self.caveats)
-        lines = "\n".join(filter(None, [size, known, *caveats])).split("\n")
-        return table, lines
-
-    @property
-    def _dependent(self) -> bool:
-        try:
-            return self.uncertainty.dependence is not None
-        except ValueError:  # too few rows to tell
-            return False
 
     def __repr__(self) -> str:
         """The printed form, for interpreters."""
@@ -455,5 +421,7 @@ class Fit(Remade):
 
     def _repr_html_(self) -> str:
         """The form shown in a notebook."""
+        from miho.fitting.printed_fit import printed
+
         table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
-        return table + "".join(f"<p>{escape(line)}</p>" for line in self._printed()[1])
+        return table + "".join(f"<p>{escape(line)}</p>" for line in printed(self)[1])

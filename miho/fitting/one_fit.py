@@ -16,7 +16,6 @@ from miho.fitting.confirmed import by_calls, check_repeats
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import searched, spread, title
 from miho.identification.curve_fit import CurveFit
-from miho.identification.curve_fit_checks import ties_of
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.models.model import Model
@@ -205,6 +204,8 @@ def fit(
             sought = space_of(*stated, reach=DENSE)
             bounds = constrained(sought, constraints)
         if start is not None:  # a bad start is reported before the model is called
+            from miho.identification.ties import ties_of
+
             free_values(bounds.free, ties_of(chosen, bounds), start)
 
     first: CurveFit | None = None  # its model has been examined

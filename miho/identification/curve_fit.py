@@ -19,7 +19,6 @@ from miho.identification.curve_fit_checks import (
     check_curve_fit,
     check_sigma,
     examined,
-    ties_of,
     with_defaults,
 )
 from miho.identification.loss import Loss, Square, slope
@@ -140,6 +139,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         if isinstance(model, FunctionModel):
             model = examined(model, self.dataset, self.space, expensive)
         if self.space.free is not self.space:
+            from miho.identification.ties import ties_of
             from miho.models.tied import tie
 
             model = tie(model, ties_of(model, self.space))

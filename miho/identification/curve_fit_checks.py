@@ -23,14 +23,11 @@ from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
-    from miho.models.tied import Ties
 
 TRIALS = 5
 """Number of trial configurations of a new problem."""
 RAISING = 1000
 """A model is refused if it raises at this number of configurations."""
-DRAWN = 4096
-"""Number of configurations that are drawn to find one within all limits."""
 LINEAR = 1e-9
 """Relative tolerance for the value of a linear model halfway: the mean of both ends."""
 FAR = 2.0
@@ -50,7 +47,7 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
     if problem.space.names != tuple(model.parameters):
-        raise ValueError(_space_mismatch(model_name, list(model.parameters), problem.space.names))
+        raise ValueError(space_mismatch(model_name, list(model.parameters), problem.space.names))
     if model.ordered and dataset.held_out is not None and not expensive:  # may be unknown yet
         raise ValueError(f"{model_name} needs every row in order; expected no held-out rows")
     _ = problem.inputs  # raises for a column that the data lack
@@ -245,74 +242,7 @@ def with_defaults(space: Space, model: Model) -> Space:
     return replace(space, parameters=(*space.parameters, *fixed)).in_order(model.parameters)
 
 
-def ties_of(model: Model, space: Space) -> Ties:
-    """The expressions that give the parameters of the model from the free ones of a space.
-
-    Raises ValueError for a space that lacks a parameter of the model, has one without an effect,
-    has other units, or has no configuration with all tied parameters within their limits.
-    """
-    from miho.models.symbolic import arguments_of
-    from miho.models.tied import Ties
-
-    name = model.name or type(model).__name__
-    if [n for n in space.names if n in model.parameters] != list(model.parameters):
-        raise ValueError(_space_mismatch(name, list(model.parameters), space.names))
-    for parameter in space.parameters:
-        needed = model.parameters.get(parameter.name, "")
-        if parameter.unit != needed and needed and parameter.unit:
-            raise ValueError(
-                f"parameter {parameter.name!r} of the space has unit {parameter.unit!r}; model "
-                f"{name} needs {needed!r}"
-            )
-    for parameter in space.parameters:
-        if parameter.fixed is not None and parameter.name not in model.parameters:
-            raise ValueError(
-                f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix; "
-                "write it into the expressions"
-            )
-    values = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters}
-    limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
-    ties = Ties(
-        tuple(model.parameters),
-        {p.name: p.unit for p in space.free.parameters},
-        {key: value for key, value in values.items() if value is not None},
-        {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
-        {p.name: p.unit for p in space.parameters if p.tied and p.name not in model.parameters},
-        space.radial,
-    )
-    needed_symbols = arguments_of(ties.graphs[: len(ties.parameters)])
-    for symbol, free in zip(ties.arguments, ties.free, strict=True):
-        if symbol.arguments[0] not in needed_symbols:
-            raise ValueError(
-                f"space.{free}: model {name} has no parameter {free}, and none is tied to it; "
-                "remove it"
-            )
-    _check_limits(ties, space.free)
-    return ties
-
-
-def _check_limits(ties: Ties, free: Space) -> None:
-    """Refuse limits of tied parameters that none of many configurations satisfies."""
-    values_of_all = ties.values(free.decode(free.initial(DRAWN, "uniform")))
-    within_all = np.ones(DRAWN, dtype=bool)
-    for name, (low, high) in ties.limits.items():
-        values = values_of_all[:, ties.names.index(name)]
-        inside = (values >= low) & (values <= high)
-        if not inside.any():
-            raise ValueError(
-                f"space.{name}.tied: {ties.ties[name]!r} is {np.nanmin(values):.4g} to "
-                f"{np.nanmax(values):.4g} in the box of the other parameters; expected values from "
-                f"{low:g} to {high:g}; widen a range"
-            )
-        within_all &= inside
-    if not within_all.any():
-        raise ValueError(
-            f"space: none of {DRAWN:,} configurations keeps {', '.join(ties.limits)} within their "
-            "ranges; widen a range"
-        )
-
-
-def _space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[str]) -> str:
+def space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[str]) -> str:
     """The message on a space without the parameters of the model in the order of the model."""
     lacking = [name for name in needed if name not in declared]
     surplus = [name for name in declared if name not in needed]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled import Block, Kernel
-from miho.moved import PARTS_OF_ORACLE
 from miho.optim.distribution import Distribution
 from miho.optim.meter import (
     Budget,
@@ -126,6 +125,8 @@ class Oracle:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name):
+            from miho.moved import PARTS_OF_ORACLE
+
             now = f"; it is oracle.{PARTS_OF_ORACLE[name]} now" if name in PARTS_OF_ORACLE else ""
             raise AttributeError(f"Oracle has no attribute {name!r}{now}")
 

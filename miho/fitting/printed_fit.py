@@ -1,0 +1,44 @@
+"""The printed form of a fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from miho.identification.dependence import alike_beside_priors
+from miho.identification.stated import at_limits, marked
+
+if TYPE_CHECKING:
+    from miho.fitting.fit_result import Fit
+
+
+def printed(fit: Fit) -> tuple[str, list[str]]:
+    """The table of parameters as text, and the lines below it, of any length."""
+    table = fit.parameters.to_string(float_format=lambda number: f"{number:.5g}")
+    rows = len(fit.problem.dataset)
+    error = f"error {fit.error:.5g} {fit.problem.unit}".rstrip()
+    weights = "" if fit.problem.weights is None else ", weighted by sigma"
+    alike = "; intervals allow for correlated errors of neighbouring rows"
+    narrow = (
+        "; errors of neighbouring rows are correlated, and intervals do not allow for them "
+        "together with priors"
+    )
+    priors = bool(alike_beside_priors(fit.problem, fit.theta))
+    try:
+        marks = marked(fit.problem, fit.theta, fit.uncertainty)
+    except ValueError:  # too few rows
+        marks = marked(fit.problem, fit.theta, None)
+    size = "; ".join([f"{error} (root mean square of {rows:,} rows{weights})", *marks])
+    size += f"{alike * _dependent(fit)}{narrow * priors}"
+    # The caveats explain an optimum in doubt.
+    limits = " ".join(f"{limit}." for limit in at_limits(fit.problem, fit.theta))
+    known = limits if fit._conclusion.doubt else fit.optimum.replace(". ", ".\n")
+    caveats = (f"- {sentence}" for sentence in fit.caveats)
+    lines = "\n".join(filter(None, [size, known, *caveats])).split("\n")
+    return table, lines
+
+
+def _dependent(fit: Fit) -> bool:
+    try:
+        return fit.uncertainty.dependence is not None
+    except ValueError:  # too few rows to tell
+        return False
