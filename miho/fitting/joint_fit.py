@@ -13,7 +13,6 @@ from miho.fitting.arguments import FAR, data_of
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
-from miho.fitting.one_fit import without_priors
 from miho.fitting.search import searched
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
@@ -137,7 +136,7 @@ def fit_joint(
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
-    plain = without_priors(bounds) if joint.lacking else bounds  # priors need sigma
+    plain = bounds.without_priors if joint.lacking else bounds  # priors need sigma
     problem = as_begun(
         lambda expensive: joint.problem(plain, compiled=compiled, expensive=expensive),
         journal,

@@ -13,7 +13,6 @@ from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
 from miho.fitting.arguments import space_of
 from miho.fitting.fit_result import Fit
-from miho.fitting.one_fit import has_priors, without_priors
 from miho.fitting.search import searched, spread
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
@@ -212,9 +211,9 @@ class Joint:
             return self.problem(space, **settings)
         self._check_estimable(settings.get("rho"))
         joint = self
-        if has_priors(space):
+        if space.has_priors:
             plain = self.complete(
-                without_priors(space), method, budget, seed, evaluations, **settings
+                space.without_priors, method, budget, seed, evaluations, **settings
             )
             rows = plain.dataset[PART]
             first = {name: float(plain.dataset[SIGMA][rows == k][0])

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from miho.identification.loss import Cauchy, Huber, Loss, Square
+from miho.identification.loss import Loss, Square
+from miho.identification.robust_loss import Cauchy, Huber
 from miho.optim import Budget, Optimizer
 
 METHODS = {

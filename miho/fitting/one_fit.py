@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -29,9 +28,6 @@ if TYPE_CHECKING:
 
 EDGE = 1e-6
 """A value closer than this share of a range to one of its ends counts as at the edge."""
-SETTLED, ROUNDS = 1e-6, 100
-"""The estimate of the error's standard deviation has converged if it changes by less than this
-share; `settled` makes at most this number of rounds."""
 
 
 def fit(
@@ -221,8 +217,8 @@ def fit(
         )  # fmt: skip
 
     # If sigma is unknown, the residuals determine the weight of priors.
-    settles = has_priors(bounds) and (sigma is None or not sigma_known)
-    plain = without_priors(bounds) if settles else bounds
+    settles = bounds.has_priors and (sigma is None or not sigma_known)
+    plain = bounds.without_priors if settles else bounds
     away = not (workers is None and evaluation_limit is None and journal is None)
     if away:
         from miho.fitting.expensive_fit import as_begun, expensive_fit
@@ -249,6 +245,8 @@ def fit(
 
         if not settles:
             return solved(first)
+        from miho.fitting.prior_weight import settled
+
         return settled(bounds, lambda *box: solved(problem_of(*box)), evaluations)
 
 
@@ -266,50 +264,6 @@ def _check_within(sought: Space, own: Space, values: Mapping[str, float]) -> Non
                 f"constraints: {near.name} ends at {values[near.name]:g}, the edge of the range "
                 f"from {near.low:g} to {near.high:g} about its start; give bounds"
             )
-
-
-def settled(
-    bounds: Space,
-    solved: Callable[[Space, float | None], Fit],
-    evaluations: Evaluations | None = None,
-) -> Fit:
-    """Fit with priors whose weight depends on the unknown standard deviation of the errors.
-
-    `solved` fits within bounds, given the standard deviation that weighs the priors. The first
-    estimate comes from a fit without priors [1]_, later ones from the residuals of the fit, with
-    the degrees of freedom of `linearised`. Raises ValueError if they do not converge in ROUNDS
-    rounds.
-
-    References
-    ----------
-    .. [1] H. Theil, A. S. Goldberger, International Economic Review 2 (1961) 65-78.
-    """
-    from miho.identification.uncertainty import linearised
-
-    def noise(fit: Fit) -> float:
-        at = linearised(spread(fit.problem, evaluations), fit.theta)
-        return max(at.noise, math.sqrt(fit.problem.rounding))
-
-    fit = solved(bounds, noise(solved(without_priors(bounds), None)))
-    for _ in range(ROUNDS):
-        scale = noise(fit)
-        before = fit.problem.prior_scale or scale
-        if abs(scale - before) <= SETTLED * before:
-            return replace(fit, run=fit.theta) if fit.descents is None else solved(bounds, scale)
-        problem = replace(fit.problem, prior_scale=scale, expensive=True)
-        descent = refit(spread(problem, evaluations), fit.theta)
-        fit = replace(fit, problem=problem, theta=descent.theta, moving=descent.moving)
-    raise ValueError("sigma: its estimate and the weight of the priors do not converge; give sigma")
-
-
-def has_priors(space: Space) -> bool:
-    """Whether any parameter has a prior."""
-    return any(parameter.prior is not None for parameter in space.parameters)
-
-
-def without_priors(space: Space) -> Space:
-    """The same space without priors."""
-    return replace(space, parameters=tuple(replace(p, prior=None) for p in space.parameters))
 
 
 def descended(

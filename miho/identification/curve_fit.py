@@ -17,11 +17,10 @@ from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
-    check_sigma,
     examined,
     with_defaults,
 )
-from miho.identification.loss import Loss, Square, slope
+from miho.identification.loss import Loss, Square
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
@@ -148,7 +147,10 @@ class CurveFit(Remade, LeastSquaresProblem):
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "space", self.space.free)
         check_curve_fit(self, expensive)
-        check_sigma(self)
+        if self.sigma is not None or self.prior is not None:
+            from miho.identification.sigma_checks import check_sigma
+
+            check_sigma(self)
 
     @property
     def name(self) -> str:  # type: ignore[override]  # settable in other problems
@@ -324,8 +326,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def prior(self) -> PriorResiduals | None:
         """Residuals of the parameters that have a prior, None if none has."""
-        free = any(parameter.prior is not None for parameter in self.space.parameters)
-        if not free and not self.tied_priors:
+        if not self.space.has_priors and not self.tied_priors:
             return None
         from miho.identification.prior import PriorResiduals
 
@@ -523,6 +524,8 @@ class CurveFit(Remade, LeastSquaresProblem):
             return np.vstack([derivatives, self.prior.slopes(theta)])
         if self._square:
             return derivatives
+        from miho.identification.robust_loss import slope
+
         errors = self._latest_errors.get((theta.tobytes(), len(derivatives)))
         if errors is None:
             errors = self.errors(theta, fidelity)

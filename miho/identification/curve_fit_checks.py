@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -13,12 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.identification.loss import Square
 from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionFormula, FunctionModel
-from miho.models.model import DifferencedModel, ExternalModel, Model, expensive_leaves
+from miho.models.model import Model, expensive_leaves
 from miho.optim.space import Parameter, Space
-from miho.parallel.worth import is_expensive
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -26,10 +22,6 @@ if TYPE_CHECKING:
 
 TRIALS = 5
 """Number of trial configurations of a new problem."""
-RAISING = 1000
-"""A model is refused if it raises at this number of configurations."""
-LINEAR = 1e-9
-"""Relative tolerance for the value of a linear model halfway: the mean of both ends."""
 FAR = 2.0
 """A nominal value is far from the data if it is beyond them by more than this factor."""
 SMALLEST, LARGEST = 1e-140, 1e150
@@ -67,112 +59,13 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     elif not expensive and not any(
         isinstance(leaf, FunctionModel) and leaf.tried.expensive for leaf in expensive_leaves(model)
     ):
-        theta = _usable(problem, model_name)
+        from miho.identification.trial_calls import check_shapes, usable
+
+        theta = usable(problem, model_name)
         if theta is not None:
-            _check_shapes(problem, model_name, theta)
+            check_shapes(problem, model_name, theta)
             _check_values(problem, model_name)
     _check_nominal(problem, model_name)
-
-
-def _trials(space: Space) -> Iterator[Array]:
-    """The first RAISING common initial configurations, (d,) each; few are drawn in most cases."""
-    yield from space.decode(space.initial(TRIALS))
-    yield from space.decode(space.initial(RAISING)[TRIALS:])
-
-
-def _usable(problem: CurveFit, model_name: str) -> Array | None:
-    """The first trial configuration (d,) without an exception; None for an expensive model.
-
-    A model may raise on a part of the box. It is refused with its first error if it raises at all
-    of RAISING configurations, and if it gives a wrong shape.
-    """
-    model, failures, fastest = problem.model, list[Exception](), math.inf
-    for theta in _trials(problem.space):
-        started = time.perf_counter()
-        try:
-            actual = model.predict(theta[None], *problem.inputs).shape
-        except Exception as error:  # noqa: BLE001 -- whatever a model raises
-            failures.append(error)
-            fastest = min(fastest, time.perf_counter() - started)
-            if len(failures) >= TRIALS and is_expensive(fastest):
-                return None
-            continue
-        long = is_expensive(time.perf_counter() - started)
-        kinds, expected = FunctionModel | ExternalModel, (1, len(problem.dataset))
-        if not (long and any(isinstance(leaf, kinds) for leaf in expensive_leaves(model))):
-            return theta
-        if actual != expected:
-            raise ValueError(f"{model_name}.predict gives shape {actual}; expected {expected}")
-        return None
-    raise failures[0]
-
-
-def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
-    """Refuse a model whose methods give wrong shapes."""
-    model, rows = problem.model, len(problem.dataset)
-    shapes = {
-        "predict": (model.predict(np.stack([theta, theta]), *problem.inputs).shape, (2, rows))
-    }
-    if not isinstance(model.whole, DifferencedModel | ExternalModel):  # else by differences
-        J = model.jacobian(theta, *problem.inputs)
-        shapes["jacobian"] = J.shape, (rows, len(problem.space))
-    for method, (actual, expected) in shapes.items():
-        if actual != expected:
-            raise ValueError(f"{model_name}.{method} gives shape {actual}; expected {expected}")
-
-
-def check_sigma(problem: CurveFit) -> None:
-    """Raise ValueError for a sigma that is not a positive number or a column of such numbers."""
-    sigma = problem.sigma
-    if problem.prior is not None:
-        _check_prior(problem)
-    if sigma is None:
-        return
-    if not isinstance(sigma, str):
-        if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < np.inf:
-            raise ValueError(f"sigma is {sigma!r}; expected a number above 0, or a column's name")
-        if not SMALLEST < sigma < LARGEST:
-            raise ValueError(f"sigma is {sigma!r}; expected {SMALLEST:g} to {LARGEST:g}")
-        return
-    column, dataset = problem.dataset[sigma], problem.dataset
-    if sigma in problem.model.inputs or sigma == dataset.output:
-        raise ValueError(
-            f"sigma is {sigma!r}, an input or the output of the model; name a column of standard "
-            "deviations"
-        )
-    if dataset.units[sigma] != problem.unit and dataset.units[sigma] and problem.unit:
-        raise ValueError(
-            f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected "
-            f"{problem.unit!r}, the unit of {dataset.output!r}"
-        )
-    wrong = np.flatnonzero(column <= 0)
-    if wrong.size:
-        raise ValueError(
-            f"sigma: column {sigma!r} is {column[wrong[0]]:g} in row {wrong[0] + 1} of "
-            f"{dataset.name}; expected numbers above 0"
-        )
-    beyond = np.flatnonzero((column < SMALLEST) | (column > LARGEST))
-    if beyond.size:
-        raise ValueError(
-            f"sigma: column {sigma!r} is {column[beyond[0]]:g} in row {beyond[0] + 1} of "
-            f"{dataset.name}; expected {SMALLEST:g} to {LARGEST:g}"
-        )
-
-
-def _check_prior(problem: CurveFit) -> None:
-    """Refuse priors whose weight relative to the data is unknown."""
-    name = problem.prior.parameters[0].name if problem.prior is not None else ""
-    if problem.prior_scale is None and (problem.sigma is None or not problem.sigma_known):
-        raise ValueError(
-            f"space.{name}.prior: expected a known sigma, which sets the weight of the prior "
-            "against the data; give sigma, a number or a column, or use miho.fit, which estimates "
-            "it"
-        )
-    if not isinstance(problem.rho, Square):
-        raise ValueError(
-            f"space.{name}.prior: expected the loss Square, got {type(problem.rho).__name__}; "
-            "remove the prior or change the loss"
-        )
 
 
 def examined(
@@ -287,34 +180,9 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
         )
     by_formula = isinstance(model, FunctionFormula) and not model.function.linear
     if model.linear and not by_formula:
-        _check_linear(problem, model_name, thetas)
+        from miho.identification.trial_calls import check_linear
 
-
-def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:
-    """Refuse a model that is not linear in its `linear` parameters.
-
-    These parameters move from the first of the configurations (n, d) to the second. Halfway, a
-    linear model gives the mean of its values at both ends.
-    """
-    model, names = problem.model, problem.space.names
-    moved = thetas[0].copy()
-    for name in model.linear:
-        moved[names.index(name)] = thetas[1, names.index(name)]
-    rows = np.stack([thetas[0], moved, (thetas[0] + moved) / 2])
-    try:
-        first, last, middle = model.predict(rows, *problem.inputs)
-    except Exception:  # noqa: BLE001 -- as above
-        return
-    finite = np.isfinite(first) & np.isfinite(last) & np.isfinite(middle)
-    first, last, middle = first[finite], last[finite], middle[finite]
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = np.abs(first) + np.abs(last)
-        bent = np.abs(first + last - 2 * middle) > LINEAR * (size + size.max(initial=0.0))
-    if bent.any():
-        raise ValueError(
-            f"{model_name} is not linear in {', '.join(model.linear)} as it declares; correct "
-            "`linear`"
-        )
+        check_linear(problem, model_name, thetas)
 
 
 def _check_nominal(problem: CurveFit, model_name: str) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import EVENT, alike_beside_priors
-from miho.identification.loss import Cauchy, Huber
+from miho.identification.robust_loss import Cauchy, Huber
 from miho.identification.uncertainty import parameters_at_bounds
 from miho.optim.space import Space
 from miho.quantities import Array

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from miho.identification.loss import Cauchy, Huber
 from miho.identification.prior import PriorResiduals
+from miho.identification.robust_loss import Cauchy, Huber
 from miho.models.expression import Expression
 from miho.models.symbolic import Symbol, operation, trace
 from miho.models.traced import TracedExpression

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from miho.identification.loss import Cauchy, Huber, Loss, Square
+from miho.identification.loss import Loss, Square
+from miho.identification.robust_loss import Cauchy, Huber
 from miho.models.expression import Expression
 from miho.models.model import Model
 from miho.models.traced import is_formula

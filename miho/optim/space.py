@@ -244,6 +244,16 @@ class Space:
         ordered = sorted(self.parameters, key=lambda p: places.get(p.name, len(places)))
         return replace(self, parameters=tuple(ordered))
 
+    @property
+    def has_priors(self) -> bool:
+        """Whether any parameter has a prior."""
+        return any(parameter.prior is not None for parameter in self.parameters)
+
+    @property
+    def without_priors(self) -> Space:
+        """The same space without priors."""
+        return replace(self, parameters=tuple(replace(p, prior=None) for p in self.parameters))
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, in the order of theta."""

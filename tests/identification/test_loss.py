@@ -5,8 +5,8 @@ import pytest
 import scipy.optimize
 
 from miho.identification import Cauchy, Huber, Loss, Square
-from miho.identification.loss import slope
 from miho.identification.refit import refit
+from miho.identification.robust_loss import slope
 from miho.optim.problem import mean_square
 from tests.identification.published import line
 

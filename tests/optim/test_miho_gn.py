@@ -17,7 +17,7 @@ from miho.compiled.gauss_newton_candidates import SLOPES, GNCandidates
 from miho.compiled.kernel import Formula
 from miho.data import Dataset
 from miho.identification import CurveFit, linear_optimum
-from miho.identification.loss import Huber
+from miho.identification.robust_loss import Huber
 from miho.models import FunctionModel
 from miho.models.expression import Expression
 from miho.optim import (
