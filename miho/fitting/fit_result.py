@@ -257,26 +257,9 @@ class Fit(Remade):
         They name parameters at a bound or not identifiable, optima that the data cannot
         distinguish, and an uncertain optimum. `notes` has all remarks, and takes longer.
         """
-        from miho.identification.alternatives import several_values
-        from miho.identification.flags import (
-            REMEDY,
-            doubtful,
-            ended_at_bounds,
-            held_at_bounds,
-            unseen,
-        )
-        from miho.identification.stated import reported_space, reported_uncertainty
+        from miho.fitting.printed_fit import caveats
 
-        conclusion = self._conclusion
-        sentences = doubtful(conclusion.doubt, REMEDY) if conclusion.doubt else []
-        try:
-            at = reported_uncertainty(self.problem, self.uncertainty)
-        except ValueError as error:
-            return [*sentences, f"there are no standard errors: {error}."]
-        sentences += several_values(self.problem, self._optima)
-        space = reported_space(self.problem.space)
-        sentences += (ended_at_bounds if conclusion.doubt else held_at_bounds)(at, space)
-        return sentences + unseen(at, space, everywhere=False)
+        return caveats(self)
 
     def report(self, **settings: Any) -> Report:
         """Full report, with profile intervals; takes up to some seconds.

@@ -1,11 +1,13 @@
-"""The printed form of a fit."""
+"""The printed form of a fit, and the sentences on its limits."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from miho.identification.alternatives import several_values
 from miho.identification.dependence import alike_beside_priors
-from miho.identification.stated import at_limits, marked
+from miho.identification.flags import REMEDY, doubtful, ended_at_bounds, held_at_bounds, unseen
+from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
 if TYPE_CHECKING:
     from miho.fitting.fit_result import Fit
@@ -32,8 +34,8 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
     # The caveats explain an optimum in doubt.
     limits = " ".join(f"{limit}." for limit in at_limits(fit.problem, fit.theta))
     known = limits if fit._conclusion.doubt else fit.optimum.replace(". ", ".\n")
-    caveats = (f"- {sentence}" for sentence in fit.caveats)
-    lines = "\n".join(filter(None, [size, known, *caveats])).split("\n")
+    limited = (f"- {sentence}" for sentence in fit.caveats)
+    lines = "\n".join(filter(None, [size, known, *limited])).split("\n")
     return table, lines
 
 
@@ -42,3 +44,17 @@ def _dependent(fit: Fit) -> bool:
         return fit.uncertainty.dependence is not None
     except ValueError:  # too few rows to tell
         return False
+
+
+def caveats(fit: Fit) -> list[str]:
+    """Sentences on the limits of the results."""
+    conclusion = fit._conclusion
+    sentences = doubtful(conclusion.doubt, REMEDY) if conclusion.doubt else []
+    try:
+        at = reported_uncertainty(fit.problem, fit.uncertainty)
+    except ValueError as error:
+        return [*sentences, f"there are no standard errors: {error}."]
+    sentences += several_values(fit.problem, fit._optima)
+    space = reported_space(fit.problem.space)
+    sentences += (ended_at_bounds if conclusion.doubt else held_at_bounds)(at, space)
+    return sentences + unseen(at, space, everywhere=False)

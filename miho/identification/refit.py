@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,12 +13,11 @@ from miho.identification.curve_fit import CurveFit
 from miho.quantities import Array
 
 if TYPE_CHECKING:
+    from miho.identification.deadline import Deadline
     from miho.identification.limits import Pin
 
 EVALUATIONS = 200
 """Default limit on evaluations of the residuals: enough for a start near the optimum."""
-FEW = 5
-"""Smallest number of evaluations of a refit."""
 STANDSTILL = 1e-8
 """A descent has converged if its second half gains less than this fraction of the sum of
 squares."""
@@ -32,37 +29,6 @@ of squares, which is a distance of 1e-8 sqrt(N) standard errors."""
 
 class OutOfTimeError(Exception):
     """The time limit of a report is over."""
-
-
-@dataclass
-class Deadline:
-    """The time limit of a report, in seconds of `time.perf_counter`."""
-
-    at: float = math.inf
-
-    def check(self) -> None:
-        """Raise OutOfTimeError if the time is over."""
-        if self.over:
-            raise OutOfTimeError
-
-    @property
-    def over(self) -> bool:
-        """Whether the time is over."""
-        return time.perf_counter() > self.at
-
-    def __getstate__(self) -> float:
-        """The seconds left, because other machines have other clocks."""
-        return self.at - time.perf_counter()
-
-    def __setstate__(self, left: float) -> None:
-        self.at = time.perf_counter() + left
-
-
-def seconds_of_refit(problem: CurveFit, theta: Array) -> float:
-    """Smallest duration of a refit in seconds, from the duration of one evaluation."""
-    started = time.perf_counter()
-    problem.residuals(theta)
-    return FEW * (time.perf_counter() - started)
 
 
 class Refit(NamedTuple):

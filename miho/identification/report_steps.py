@@ -13,6 +13,7 @@ from miho.identification.alternatives import minima_at
 from miho.identification.bootstrap import replicated
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
+from miho.identification.deadline import Deadline, seconds_of_refit
 from miho.identification.flags import REMEDY
 from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, conclusion_on
 from miho.identification.profile_likelihood import (
@@ -22,13 +23,7 @@ from miho.identification.profile_likelihood import (
     joined,
     likelihood_profile,
 )
-from miho.identification.refit import (
-    Deadline,
-    OutOfTimeError,
-    Refit,
-    refit,
-    seconds_of_refit,
-)
+from miho.identification.refit import OutOfTimeError, Refit, refit
 from miho.identification.report import Report, rounding_of
 from miho.identification.stated import profiled_parameters, reported_space
 from miho.identification.uncertainty import Linearised, linearised

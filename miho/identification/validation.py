@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from miho.data.dataset import Dataset
 from miho.identification.autocorrelation import autoregression, chance_of_trend
 from miho.identification.curve_fit import CurveFit
+from miho.identification.deadline import Deadline, seconds_of_refit
 from miho.identification.dependence import alike_beside_priors, series_of
 from miho.identification.inverse_root import inverse_root
-from miho.identification.refit import Deadline, refit, seconds_of_refit
+from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised
 from miho.parallel.blocks import in_blocks
 from miho.parallel.pool import Pool

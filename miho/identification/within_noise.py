@@ -10,7 +10,8 @@ import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.refit import Deadline, Refit, refit
+from miho.identification.deadline import Deadline
+from miho.identification.refit import Refit, refit
 from miho.optim.trace import Minimum, in_place
 from miho.quantities import Array
 

@@ -6,6 +6,7 @@ from miho.exports import at_first_use
 from miho.optim.minimize import minimize  # at once: the module has the same name
 
 if TYPE_CHECKING:
+    from miho.optim.ask_tell import AskTell
     from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
     from miho.optim.distribution import Distribution
     from miho.optim.evidence import Agreement, agreement, in_optimum
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from miho.optim.miho_gn import MIHOGN
     from miho.optim.miho_qn import MIHOQN
     from miho.optim.minimize import Checkpoint, Outcome, RunRecord
-    from miho.optim.optimizer import AskTell, Optimizer, Resumable
+    from miho.optim.optimizer import Optimizer, Resumable
     from miho.optim.oracle import Oracle
     from miho.optim.problem import LeastSquaresProblem, Problem
     from miho.optim.random_search import RandomSearch

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.compiled.phases import CLOSED, FINISH, LEAD, REVIVE, RUNG, SCREEN, UNLIMITED
+from miho.optim.ask_tell import AskTell
 from miho.optim.brackets import Brackets, check_brackets, draw_starts
 from miho.optim.miho_qn_state import (
     NEAR_LAST,
@@ -16,7 +17,6 @@ from miho.optim.miho_qn_state import (
     distinct,
     offsets_from,
 )
-from miho.optim.optimizer import AskTell
 from miho.optim.oracle import Oracle
 from miho.optim.quasi_newton import diagonal
 from miho.optim.quasi_newton_candidates import (

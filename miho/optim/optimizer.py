@@ -1,4 +1,4 @@
-"""The interface of all methods, and its ask-and-tell form."""
+"""The interface of all methods."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from typing import ClassVar, Generic, TypeVar, final
 import numpy as np
 
 from miho.optim.oracle import Oracle
-from miho.optim.space import Space
-from miho.quantities import Array
 
 State = TypeVar("State")
 
@@ -73,65 +71,3 @@ class Resumable(Optimizer, Generic[State]):
         oracle.state = state
         while not self.done(state):
             self.step(state, oracle)
-
-
-class AskTell(Resumable[State]):
-    """Abstract base class of a method that alternates between `ask` and `tell`.
-
-    `ask` returns a batch of configurations and does not change the state: a second call returns the
-    same batch. `tell` receives the losses and makes all changes.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> import numpy as np
-    >>> import miho
-    >>> @dataclass(frozen=True)
-    ... class Uniform(miho.AskTell[list]):
-    ...     def init(self, space, rng):
-    ...         return [space, rng, space.sample(10, rng, "uniform")]
-    ...     def ask(self, state):
-    ...         return state[0].decode(state[2])
-    ...     def tell(self, state, thetas, losses):
-    ...         state[2] = state[0].sample(10, state[1], "uniform")
-    ...     def done(self, state):
-    ...         return False
-    >>> class Square(miho.Problem):
-    ...     name, space = "square", miho.Space((miho.Parameter("a", "", -1, 1),))
-    ...     def loss(self, thetas, fidelity=1.0):
-    ...         return thetas[:, 0] ** 2
-    >>> record = miho.minimize(Uniform(), Square(), miho.Budget(evaluations=100))
-    >>> round(record.evaluations), record.loss < 0.01
-    (100, True)
-    """
-
-    @abstractmethod
-    def init(self, space: Space, rng: np.random.Generator) -> State:
-        """Return the state before the first batch."""
-
-    @abstractmethod
-    def ask(self, state: State) -> Array:
-        """Return the next batch of configurations in units, (n, d), which must not be modified."""
-
-    @abstractmethod
-    def tell(self, state: State, thetas: Array, losses: Array) -> None:
-        """Advance the state, given the losses (n,) of the batch; +inf marks unusable values."""
-
-    def fidelity(self, state: State) -> float:
-        """Fidelity of the next batch: the fraction of the data to use."""
-        return 1.0
-
-    def start(self, oracle: Oracle, rng: np.random.Generator) -> State:
-        """Return the state before the first batch; calls `init`."""
-        return self.init(oracle.space, rng)
-
-    @final
-    def step(self, state: State, oracle: Oracle) -> None:
-        """Ask, evaluate and tell."""
-        thetas = self.ask(state)
-        if not len(thetas):
-            raise ValueError(
-                f"{type(self).__name__}.ask: expected at least one configuration, got none, while "
-                "done is false; return a batch, or end the search"
-            )
-        self.tell(state, thetas, oracle(thetas, self.fidelity(state)))

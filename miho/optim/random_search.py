@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.optim.optimizer import AskTell
+from miho.optim.ask_tell import AskTell
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
 from miho.quantities import Array
 from miho.validate import one_of, whole

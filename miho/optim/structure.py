@@ -44,13 +44,6 @@ CHANCE = 6.0
 sqrt(rows))."""
 FARTHEST = 300.0
 """Largest logarithm of a spread; real data do not reach it."""
-CELLS = 64
-"""Cells of the grid along each of two inputs: a window of one cell is 1/64 of a range."""
-SIDES = [2**k for k in range(6)]
-BOXES = [(h, w) for h in SIDES for w in SIDES if h * w > 1 and 1 / 2 <= h / w <= 2]
-"""Heights and widths of boxes of cells, of 2 to 1024 of the 4096."""
-FEWEST_IN_BOX = 4
-"""Number of rows whose clipped residuals have a nearly normal sum."""
 MEDIAN_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -76,7 +69,10 @@ def has_structure(inputs: Sequence[Array], residuals: Array, order: Order | None
     if z.size < FEWEST or not z.any():
         return False
     tests = [_along(share, order, z) for share, order in zip(shares, orders, strict=True)]
-    tests += [_across(a, b, z) for a, b in combinations(shares, 2)]
+    if len(shares) > 1:
+        from miho.optim.structure_of_pairs import across
+
+        tests += [across(a, b, z) for a, b in combinations(shares, 2)]
     windows = [window for of_test, _ in tests for window in of_test]
     lines = [line for _, line in tests]
     return any(min(logs) <= math.log(LEVEL / 2 / len(logs)) for logs in (windows, lines) if logs)
@@ -145,55 +141,19 @@ def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
     windows, size = [], 2
     while size <= N // 4:
         largest = float(np.abs(sums[size:] - sums[:-size]).max())
-        windows.append(_of_windows(largest / math.sqrt(size * (1 - size / N)), 4 * N / size))
+        windows.append(of_windows(largest / math.sqrt(size * (1 - size / N)), 4 * N / size))
         size *= 2
     # Up to N / 2 periods in the range, by steps of half a period, on a grid of cells that are half
     # as wide as rows are apart.
     cells = np.bincount(np.rint(share * (2 * N - 1)).astype(np.int64), z, 2 * N)
-    return windows, _of_lines(np.abs(np.fft.rfft(cells, 4 * N)[1 : N + 1]) ** 2 / N)
+    return windows, of_lines(np.abs(np.fft.rfft(cells, 4 * N)[1 : N + 1]) ** 2 / N)
 
 
-def _across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
-    """Log probabilities on the grid of two inputs, in shares (N,) of their ranges."""
-    N = z.size
-    cell = [np.minimum((share * CELLS).astype(np.int64), CELLS - 1) for share in (a, b)]
-    flat = cell[0] * CELLS + cell[1]
-    total = np.bincount(flat, z, CELLS**2).reshape(CELLS, CELLS)
-    count = np.bincount(flat, minlength=CELLS**2).reshape(CELLS, CELLS).astype(float)
-    totals, counts = _integral(total.astype(float)), _integral(count)
-    windows = []
-    for height, width in BOXES:
-        held = _boxes(counts, height, width)
-        full = held >= FEWEST_IN_BOX
-        if full.any():
-            sums = np.abs(_boxes(totals, height, width)[full])
-            places = min(4 * CELLS**2 / (height * width), full.sum())
-            windows.append(_of_windows(float((sums / np.sqrt(held[full])).max()), places))
-    # Plane waves of up to as many periods as there are rows along each side of a square, by steps
-    # of half a period.
-    most = min(CELLS, int(2 * math.sqrt(N)))
-    power = np.abs(np.fft.rfft2(total, (2 * CELLS, 2 * CELLS))) ** 2 / N
-    power[0, 0] = 0.0
-    waves = np.concatenate([power[: most + 1, : most + 1], power[-most + 1 :, : most + 1]])
-    return windows, _of_lines(waves)
-
-
-def _integral(cells: Array) -> Array:
-    """Sums of all cells above and to the left, (n + 1, m + 1)."""
-    return np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-
-
-def _boxes(sums: Array, height: int, width: int) -> Array:
-    """Sums of the boxes of this size at all positions, from the integral of the cells."""
-    inner = sums[height:, width:] + sums[:-height, :-width]
-    return np.asarray(inner - sums[height:, :-width] - sums[:-height, width:])
-
-
-def _of_windows(largest: float, windows: float) -> float:
+def of_windows(largest: float, windows: float) -> float:
     """Log probability that the largest of this number of normal variables is larger."""
     return float(math.log(2 * windows) + scipy.special.log_ndtr(-largest))
 
 
-def _of_lines(power: NDArray[np.float64]) -> float:
+def of_lines(power: NDArray[np.float64]) -> float:
     """Log probability that the largest of exponential variables is larger."""
     return float(math.log(power.size) - power.max())
