@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -164,10 +164,25 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
     """Refuse rows that are not finite at any trial configuration, and a wrong `linear`."""
     model = problem.model
     thetas = problem.space.decode(problem.space.initial(TRIALS))
+    check = partial(_is_finite, problem, model_name, thetas)
+    if isinstance(model, FunctionFormula):
+        evaluated = model.passed("finite", check, thetas, *problem.inputs)
+    else:
+        evaluated = check()
+    by_formula = isinstance(model, FunctionFormula) and not model.function.linear
+    if evaluated and model.linear and not by_formula:
+        from miho.identification.trial_calls import check_linear
+
+        check_linear(problem, model_name, thetas)
+
+
+def _is_finite(problem: CurveFit, model_name: str, thetas: Array) -> bool:
+    """Whether the model has values at these configurations (n, d); refuses rows without any."""
+    model = problem.model
     try:
         values = model.predict(thetas, *problem.inputs)
     except Exception:  # noqa: BLE001 -- it may fail on a part of the box; the run counts failures
-        return
+        return False
     never = np.flatnonzero(~np.isfinite(values).any(axis=0))
     if never.size and np.isfinite(values).any():
         at = ", ".join(
@@ -178,11 +193,7 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
             f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}), "
             "whatever its parameters; remove the row or correct the model"
         )
-    by_formula = isinstance(model, FunctionFormula) and not model.function.linear
-    if model.linear and not by_formula:
-        from miho.identification.trial_calls import check_linear
-
-        check_linear(problem, model_name, thetas)
+    return True
 
 
 def _check_nominal(problem: CurveFit, model_name: str) -> None:

@@ -6,6 +6,7 @@ import __future__
 import ast
 import contextlib
 import functools
+import hashlib
 import inspect
 import traceback
 import types
@@ -41,10 +42,10 @@ from miho.quantities import Array
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and the relative tolerance."""
 COPY = "; columns of data are read-only: copy a column before you change it, as in x = x.copy()"
-AGREED: WeakKeyDictionary[Any, set[tuple[Formula, bytes]]] = WeakKeyDictionary()
-"""Formulas that agree with a function, and the configurations of the comparison."""
+PASSED: WeakKeyDictionary[Any, set[tuple[Formula, str, bytes]]] = WeakKeyDictionary()
+"""Checks that formulas of a function passed, with digests of configurations and columns."""
 REMEMBERED = 100
-"""Largest number of remembered comparisons per function."""
+"""Largest number of remembered checks per function."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -211,14 +212,21 @@ class FunctionModel(DifferencedModel):
         if inputs[0].size > COMPARED:
             rows = np.linspace(0, inputs[0].size - 1, COMPARED).round().astype(int)
             columns = [column[rows] for column in inputs]
+        traced = formula
+
+        def usable() -> bool:
+            values = traced.predict(thetas, *columns)
+            if not traced.passed(
+                "agrees", lambda: alike(self.predict(thetas, *columns), values), thetas
+            ):
+                return False
+            slopes = np.isfinite(traced.jacobian(thetas, *columns)).all(axis=2)
+            return bool((slopes | ~np.isfinite(values)).all())
+
         try:
-            traced = formula.predict(thetas, *columns)
-            agree = formula.agreed(thetas, lambda: alike(self.predict(thetas, *columns), traced))
-            slopes = formula.jacobian(thetas, *columns)
+            return formula if formula.passed("usable", usable, thetas, *columns) else self
         except (Exception, NotAFormulaError):  # noqa: BLE001 -- use the function instead
             return self
-        usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(traced)
-        return formula if agree and usable.all() else self
 
     def tried_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
         """Return this model with the results of trial calls at rows (n, d) and columns (N,).
@@ -342,19 +350,21 @@ class FunctionFormula(TracedExpression):
         """Return the function itself, called with numbers."""
         return self.function.by_numbers
 
-    def agreed(self, thetas: Array, compare: Callable[[], bool]) -> bool:
-        """Return whether function and formula agree at parameter rows (n, d).
+    def passed(self, name: str, check: Callable[[], bool], *arrays: Array) -> bool:
+        """Return whether the formula passes a check that depends on these arrays alone.
 
-        Each process compares once, so many fits of a function within the same bounds share one
-        comparison.
+        Each process checks once, so many fits of a function within the same bounds share the check.
         """
         try:
-            known = AGREED.setdefault(self.function.function, set())
+            known = PASSED.setdefault(self.function.function, set())
         except TypeError:  # an object without a hash or weak references
-            return compare()
-        at = self.value, thetas.tobytes()
+            return check()
+        digest = hashlib.sha256()
+        for array in arrays:
+            digest.update(array.tobytes())
+        at = self.value, name, digest.digest()
         if at not in known:
-            if not compare():
+            if not check():
                 return False
             if len(known) >= REMEMBERED:
                 known.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from miho.compiled.phases import CHUNK, FINISHED, bracket_of, room_for
 from miho.optim.miho_gn_state import Blocks, MIHOGNState
 from miho.optim.oracle import Oracle
 
+REASONS = NAN, INFINITE, "derivative is not finite"
+"""Reasons for rejected values, in the order of the counts of a block."""
 EVENTS = 1024
 """Evaluations of all rows in one block, at most; each may be an improvement, which needs room."""
 
@@ -24,7 +27,6 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
     # Without the machine, the problem makes each evaluation.
     kernel = oracle.kernel
     rows = None if kernel is None else kernel.rows
-    c, level_rows = state.candidates, state.level_rows
     if rows is None:
         from miho.optim.gauss_newton_steps import rounds
 
@@ -33,39 +35,27 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
         return
     if state.blocks is None or state.blocks.rows is not rows:
         state.blocks = blocks_on(rows, state)
-    N, least = rows.y.size, state.blocks.least
-    _, run, _, at, losses, thetas, room = state.blocks
+    oracle.spend(partial(_block, state, state.blocks), state.blocks.least)
 
-    # The oracle limits the evaluations of a block, and records them.
-    def block(most: float, best: float, target: float) -> Block:
-        limit = round(min(most, max(EVENTS, least)) * N)  # a whole number of rows, up to rounding
-        tally = np.zeros(5, np.int64)
-        ended = run(
-            *c[:3], state.stored, state.place, state.order, state.box,
-            level_rows, state.minima, state.settings, limit, best, target, at, losses, thetas,
-            tally, room,
-        )  # fmt: skip
-        spent, k, nans, infinities, unusable = tally.tolist()
-        counts = {
-            NAN: nans,
-            INFINITE: infinities,
-            "derivative is not finite": unusable,
-        }
-        looked_at = None
-        if best == math.inf and not k:
-            thetas_here = state.space.decode(state.box.origin + state.box.width * c.x)
-            looked_at = state.rows / N, c.loss, thetas_here
-        return Block(
-            spent / N,
-            at[:k] / N,
-            losses[:k],
-            thetas[:k],
-            counts,
-            ended == FINISHED,
-            looked_at,
-        )
 
-    oracle.spend(block, least)
+def _block(state: MIHOGNState, blocks: Blocks, most: float, best: float, target: float) -> Block:
+    """Run at most this number of evaluations, which the oracle limits and records."""
+    c, N, least = state.candidates, blocks.rows.y.size, blocks.least
+    limit = round(min(most, max(EVENTS, least)) * N)  # a whole number of rows, up to rounding
+    tally = np.zeros(5, np.int64)
+    ended = blocks.run(
+        *c[:3], state.stored, state.place, state.order, state.box,
+        state.level_rows, state.minima, state.settings, limit, best, target,
+        blocks.at, blocks.losses, blocks.thetas, tally, blocks.room,
+    )  # fmt: skip
+    spent, k, *unusable = tally.tolist()
+    rejected = dict(zip(REASONS, unusable, strict=True))
+    looked_at = None
+    if best == math.inf and not k:
+        thetas = state.space.decode(state.box.origin + state.box.width * c.x)
+        looked_at = state.rows / N, c.loss, thetas
+    at, losses, thetas = blocks.at[:k] / N, blocks.losses[:k], blocks.thetas[:k]
+    return Block(spent / N, at, losses, thetas, rejected, ended == FINISHED, looked_at)
 
 
 def blocks_on(rows: Rows, state: MIHOGNState) -> Blocks:

@@ -196,7 +196,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             self._polish(state, oracle)
         if state.phase == CLOSED:
             check_structure(state, oracle)
-        if state.phase == CLOSED:
             self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
             run_phases(oracle, state)

@@ -25,6 +25,8 @@ FARTHEST = 3.0
 """Largest distance of a prior's mean outside the bounds, in its standard deviations."""
 COMMON = 30
 """Number of common initial configurations that are drawn once."""
+SEEDED = ("seed", "free", "_common")
+"""Attributes of a space that depend on its seed."""
 LARGEST_BATCH = 10_000_000
 """Largest number of configurations that fit into the memory of a machine."""
 
@@ -395,4 +397,7 @@ class Space:
 
     def seeded(self, *seed: Part) -> Space:
         """This space with other common initial configurations."""
-        return replace(self, seed=seed)
+        space = object.__new__(Space)  # all other cached properties stay valid
+        vars(space).update({key: value for key, value in vars(self).items() if key not in SEEDED})
+        vars(space)["seed"] = seed
+        return space

@@ -229,7 +229,7 @@ def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
 
 def in_place(theta: Sequence[float] | Array, known: Array) -> bool:
     """Whether each parameter (d,) differs from a known place (d,) by at most SAME_PLACE."""
-    return bool(np.allclose(theta, known, rtol=SAME_PLACE, atol=0))
+    return all(abs(a - b) <= SAME_PLACE * abs(b) for a, b in zip(theta, known, strict=True))
 
 
 def _same_place(known: Minimum, theta: Array, end: float, near: Array) -> bool:
