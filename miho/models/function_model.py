@@ -6,7 +6,6 @@ import __future__
 import ast
 import contextlib
 import functools
-import hashlib
 import inspect
 import traceback
 import types
@@ -20,7 +19,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.kernel import Formula
 from miho.models.function_calls import (
     CONFIGURATIONS,
     UNTRIED,
@@ -42,10 +40,10 @@ from miho.quantities import Array
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and the relative tolerance."""
 COPY = "; columns of data are read-only: copy a column before you change it, as in x = x.copy()"
-PASSED: WeakKeyDictionary[Any, set[tuple[Formula, str, bytes]]] = WeakKeyDictionary()
-"""Checks that formulas of a function passed, with digests of configurations and columns."""
-REMEMBERED = 100
-"""Largest number of remembered checks per function."""
+PASSED: WeakKeyDictionary[Any, set[tuple[Any, ...]]] = WeakKeyDictionary()
+"""Checks that formulas of a function passed, with the bytes of configurations and columns."""
+REMEMBERED, LARGEST = 100, 1 << 16
+"""Largest number of remembered checks per function, and of bytes in one of them."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -353,16 +351,16 @@ class FunctionFormula(TracedExpression):
     def passed(self, name: str, check: Callable[[], bool], *arrays: Array) -> bool:
         """Return whether the formula passes a check that depends on these arrays alone.
 
-        Each process checks once, so many fits of a function within the same bounds share the check.
+        Each process checks once, so many fits of a function within the same bounds share the check,
+        unless the arrays are large.
         """
         try:
             known = PASSED.setdefault(self.function.function, set())
         except TypeError:  # an object without a hash or weak references
             return check()
-        digest = hashlib.sha256()
-        for array in arrays:
-            digest.update(array.tobytes())
-        at = self.value, name, digest.digest()
+        if sum(array.nbytes for array in arrays) > LARGEST:
+            return check()
+        at = self.value, name, *(array.tobytes() for array in arrays)
         if at not in known:
             if not check():
                 return False

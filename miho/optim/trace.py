@@ -292,12 +292,13 @@ class Descents:
         if not (starts.descents or starts.screened):
             return None
         finished, dropped = starts.finished, starts.dropped
+        ends = sorted(descent.end for descent in finished)
         return cls(
             started=len(starts.descents) + dropped,
             finished=len(finished) + dropped,
             converged=sum(descent.converged for descent in finished) + dropped,
             stayed=sum(not descent.improved for descent in finished),
-            ends=tuple(sorted(starts.ends)[:MOST_ENDS]),
+            ends=tuple(ends[:MOST_ENDS]),
             screened=starts.screened,
             agreeing=starts.agreement(best).agreeing,
             dropped=dropped,
