@@ -32,7 +32,7 @@ from miho.compiled.phases import (
 )
 from miho.optim.brackets import around, draw_starts
 from miho.optim.credibility import check_structure, credible, is_tested, solves
-from miho.optim.evidence import in_optimum, is_rounding
+from miho.optim.evidence import ENOUGH, in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
@@ -192,11 +192,12 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
-        if state.phase == CLOSED and solves(state, oracle):
-            self._polish(state, oracle)
         if state.phase == CLOSED:
-            check_structure(state, oracle)
-            self.begin_bracket(state, oracle)
+            if solves(state, oracle):
+                self._polish(state, oracle)
+            else:
+                check_structure(state, oracle)
+                self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
             run_phases(oracle, state)
         self.end_phases(state, oracle)
@@ -341,8 +342,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False
-        agreement = oracle.starts.agreement(oracle.best)
-        agreed = agreement.enough and credible(self, state, oracle, agreement)
+        agreed = False
+        if len(oracle.starts.descents) >= ENOUGH:
+            agreement = oracle.starts.agreement(oracle.best)
+            agreed = agreement.enough and credible(self, state, oracle, agreement)
         enough = agreed and state.passed >= self.challenges and is_tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
         state.challenged = agreed and not enough

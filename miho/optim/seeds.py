@@ -16,5 +16,7 @@ def stream(*parts: Part) -> np.random.Generator:
     its name.
     """
     name = "\0".join(f"{type(part).__name__}:{part}" for part in parts)
-    entropy = int.from_bytes(hashlib.sha256(name.encode()).digest(), "little")
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest(), "<u4")
+    while not words[-1]:  # NumPy divides an integer into words without leading zeros
+        words = words[:-1]
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))
