@@ -95,7 +95,10 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
     for (side,) in map(np.nonzero, sides):
         halves.append(_covering([column[side] for column in columns], rows[side], rng))
     del columns, rows, split, sides, side  # keep one copy of a large pool in memory
-    yield from _in_turn(halves)
+    while (row := next(halves[0], None)) is not None:
+        yield row
+        halves.reverse()
+    yield from halves[1]
 
 
 class _Line(NamedTuple):
@@ -119,23 +122,15 @@ class _Line(NamedTuple):
         halves = [self.covering(cut, j), self.covering(i, cut)]
         if _lower_first((j - cut) / (j - i), self.rng):
             halves.reverse()
-        yield from _in_turn(halves)
+        while (row := next(halves[0], None)) is not None:
+            yield row
+            halves.reverse()
+        yield from halves[1]
 
 
 def _lower_first(upper: float, rng: np.random.Generator) -> bool:
     """Whether the lower half comes first, if the upper half has this share of the rows."""
     return bool(upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5))
-
-
-def _in_turn(halves: list[Iterator[int]]) -> Iterator[int]:
-    """Rows from the halves in turn."""
-    while halves:
-        for half in tuple(halves):
-            row = next(half, None)
-            if row is None:
-                halves.remove(half)
-            else:
-                yield row
 
 
 def _split(columns: list[Array]) -> NDArray[np.bool_] | None:

@@ -243,4 +243,5 @@ def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
         return False
     deviation = math.sqrt(c.loss[0] * m / max(m - n, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # NaN and infinity compare as false
-        return bool((np.linalg.norm(np.linalg.inv(R), axis=1) * deviation <= 1).all())
+        rows = np.linalg.inv(R)
+        return bool((np.sqrt(np.add.reduce(rows * rows, axis=1)) * deviation <= 1).all())
