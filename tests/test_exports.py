@@ -61,7 +61,7 @@ UNUSED = (
     "miho.vehicle",
 )
 """Modules that `miho.fit` of a function does not load, as the beginnings of their names."""
-MOST_FILES, MOST_LINES = 58, 10_000
+MOST_FILES, MOST_LINES = 60, 10_000
 """Largest numbers of files of the library that such a fit loads, and of their lines."""
 
 
