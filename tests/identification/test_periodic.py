@@ -9,6 +9,7 @@ import pytest
 import miho
 from experiments.check.families import FAMILIES
 from miho.identification.periodic import REMARK, searches_period
+from miho.optim import Budget
 from miho.vehicle.models import PacejkaCurvature
 from tests.printed import flat
 
@@ -74,8 +75,8 @@ def test_a_period_of_a_part_of_a_joint_fit_is_searched(fixed) -> None:
 
     bounds = {name: ends for name, ends in {**BOUNDS, "b": (0, 9)}.items() if name not in fixed}
     for settings in ({}, {"constraints": "a < b"}):
-        parts = {"wave": (sine, X, Y), "line": (line, X, 3 * X + Y)}
-        fit = miho.fit_joint(parts, bounds, fixed=fixed, **settings)
+        parts, budget = {"wave": (sine, X, Y), "line": (line, X, 3 * X + Y)}, Budget(evaluations=50)
+        fit = miho.fit_joint(parts, bounds, fixed=fixed, budget=budget, **settings)
         assert searches_period(fit.problem) == (not fixed)
 
 
