@@ -10,7 +10,6 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.uncertainty import Linearised, at_bounds, parameters_at_bounds
-from miho.models.tied import Tied
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -41,12 +40,12 @@ def reported_space(space: Space) -> Space:
 
 def reported_values(problem: CurveFit, thetas: Array) -> Array:
     """Values (n, d) of the reported parameters at free parameters (n, d)."""
-    swapped, model = _swapped(problem.space), problem.model
-    if not isinstance(model, Tied) or not swapped:
+    swapped, ties = _swapped(problem.space), problem.model.ties
+    if ties is None or not swapped:
         return thetas
-    places = [model.ties.names.index(name) for name in swapped.values()]
+    places = [ties.names.index(name) for name in swapped.values()]
     values = thetas.copy()
-    values[:, list(swapped)] = model.ties.values(thetas)[:, places]
+    values[:, list(swapped)] = ties.values(thetas)[:, places]
     return values
 
 
@@ -73,21 +72,20 @@ def reported_uncertainty(problem: CurveFit, at: Linearised) -> Linearised:
 
 def tied_names(problem: CurveFit) -> list[str]:
     """The tied parameters and quantities that have no share."""
-    model = problem.model
-    if not isinstance(model, Tied):
+    ties = problem.model.ties
+    if ties is None:
         return []
     reported = reported_space(problem.space).names
-    ties = model.ties
     return [n for n in ties.names if isinstance(ties.ties.get(n), str) and n not in reported]
 
 
 def tied_slopes(problem: CurveFit, theta: Array, names: Sequence[str]) -> Array:
     """Derivatives (k, d) of tied parameters with respect to the free ones (d,)."""
-    model = problem.model
-    if not isinstance(model, Tied):
+    ties = problem.model.ties
+    if ties is None:
         raise ValueError(f"{problem.name} has no tied parameters")
-    places = [model.ties.names.index(name) for name in names]
-    return np.asarray(model.ties.value_slopes(theta[None])[0, places])
+    places = [ties.names.index(name) for name in names]
+    return np.asarray(ties.value_slopes(theta[None])[0, places])
 
 
 def _swapped(space: Space) -> dict[int, str]:
@@ -101,17 +99,16 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     Parameters of the model come first, then quantities, then parameters of the space only. Shares
     are omitted, and the parameters that they determine count as free.
     """
-    model = problem.model
+    ties = problem.model.ties
     units = {parameter.name: parameter.unit for parameter in problem.space.parameters}
     slopes = np.eye(len(units))
     errors = dict(zip(units, at.standard_errors, strict=True))
     values = dict(zip(units, at.theta, strict=True))
     own_uncertainty = reported_uncertainty(problem, at)
     free = _status(own_uncertainty, reported_space(problem.space))
-    if not isinstance(model, Tied):
+    if ties is None:
         return [Stated(n, units[n], values[n], errors[n], free[n]) for n in units], slopes
-    ties = model.ties
-    own = {**model.model.parameters, **ties.quantities}
+    own = {**problem.model.whole.parameters, **ties.quantities}
     rows = ties.value_slopes(at.theta[None])[0]
     values |= dict(zip(ties.names, ties.values(at.theta[None])[0], strict=True))
     spread = dict(zip(ties.names, at.spread(rows), strict=True))
@@ -186,25 +183,25 @@ def profiled_parameters(problem: CurveFit, at: Linearised) -> dict[str, int | st
 
 def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
     """Values of all parameters by name at free ones (f,), the parameters of the model first."""
-    model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
-    if not isinstance(model, Tied):
+    ties, free = problem.model.ties, dict(zip(problem.space.names, theta.tolist(), strict=True))
+    if ties is None:
         return free
-    whole = model.ties.values(theta[None])[0].tolist()
+    whole = ties.values(theta[None])[0].tolist()
     shares = [problem.space.names[k] for k in _swapped(problem.space)]
-    values = {**dict(zip(model.ties.names, whole, strict=True)), **free}
+    values = {**dict(zip(ties.names, whole, strict=True)), **free}
     return {name: value for name, value in values.items() if name not in shares}
 
 
 def at_limits(problem: CurveFit, theta: Array) -> list[str]:
     """A sentence for each tied parameter that ends at a limit of its range."""
-    model = problem.model
-    if not isinstance(model, Tied):
+    ties = problem.model.ties
+    if ties is None:
         return []
     values = whole_values(problem, theta)
     sentences = [
         f"{name} ends at its limit {end:g}, so the standard errors of the parameters that it is "
         "tied to do not hold; profile intervals respect the limit"
-        for name, ends in model.ties.limits.items()
+        for name, ends in ties.limits.items()
         for end in ends
         if np.isfinite(end) and abs(values[name] - end) <= NEAR * max(abs(end), _width(ends))
     ]
