@@ -24,6 +24,7 @@ import pandas as pd
 
 from baselines.online import tire
 from baselines.online.streams import FORCE_NOISE
+from experiments.app.explain import ConfigError, unknown_message
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.online_methods import CONTENDERS, Contender
 from experiments.benchmarks.online_scores import Progress, scored, stream, tuning_error
@@ -66,7 +67,7 @@ def measure(
     names = methods.split(",") if methods else [*CONTENDERS]
     for name in names:
         if name not in CONTENDERS:
-            raise ValueError(f"no method {name!r}; expected some of {', '.join(CONTENDERS)}")
+            raise ConfigError(unknown_message(f"--methods={name}", CONTENDERS))
     if quick:
         seeds, hours = min(seeds, 3), min(hours, 0.5)
     rows: list[Mapping[str, Any]] = []
