@@ -61,9 +61,15 @@ class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Gene
 
     @property
     def idle(self) -> int:
-        """Number of jobs that can be started now; at least one may wait for the first worker."""
+        """Number of jobs that can be started now; at least one may wait for the first worker.
+
+        After a break of the connection it is 0 until all jobs in progress have ended with that
+        reason; then it is 1, and `start` raises.
+        """
+        if self._is_broken:
+            return 0 if self._jobs else 1
         now = time.monotonic()
-        if now > self._counted + COUNTED and not self._broken:
+        if now > self._counted + COUNTED:
             with contextlib.suppress(Exception):  # a broken connection shows in the jobs
                 self._count = max(1, sum(self._client.nthreads().values()))
             self._counted = now
@@ -81,7 +87,7 @@ class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Gene
 
     def start(self, job: Job) -> None:
         """Send a job to the cluster; raises ClusterLost if the connection is broken."""
-        if self._broken or self._client.status != "running":
+        if self._is_broken:
             raise ClusterLost(self._break)
         future = self._client.submit(
             run_at_worker,
@@ -128,6 +134,10 @@ class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Gene
             _in_background(
                 partial(self._client.run, interrupt, self._owner, self._sent, on_error="ignore")
             )
+
+    @property
+    def _is_broken(self) -> bool:
+        return self._broken or self._client.status != "running"
 
     @property
     def _break(self) -> str:
