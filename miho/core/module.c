@@ -160,7 +160,7 @@ static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t co
         Py_END_ALLOW_THREADS
     }
     for (int k = 0; k < 3; k++) PyBuffer_Release(&V[k]);
-    if (done) Py_RETURN_NONE;
+    if (done) return none();
     return PyErr_Occurred() ? NULL : PyErr_NoMemory();
 }
 
@@ -190,7 +190,7 @@ static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_
         Py_END_ALLOW_THREADS
     }
     for (int k = 0; k < 4; k++) PyBuffer_Release(&V[k]);
-    if (done) Py_RETURN_NONE;
+    if (done) return none();
     return PyErr_Occurred() ? NULL : PyErr_NoMemory();
 }
 

@@ -6,6 +6,13 @@
 #include <Python.h>
 #include "tape.h"
 
+/* A new reference to None. Headers of Python 3.12 and later take None for immortal in
+   Py_RETURN_NONE; in Python 3.11, which the same build serves, it would be freed. */
+static inline PyObject *none(void) {
+    Py_INCREF(Py_None);
+    return Py_None;
+}
+
 /* module_search.c */
 extern const char run_bracket_doc[];
 PyObject *py_run_bracket(PyObject *module, PyObject *const *arguments, Py_ssize_t count);

@@ -117,5 +117,5 @@ PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     release_arrays(&all);
     if (!taken || PyErr_Occurred()) return NULL;
     if (!done) return PyErr_NoMemory();
-    Py_RETURN_NONE;
+    return none();
 }

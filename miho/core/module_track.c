@@ -49,7 +49,7 @@ PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     release_arrays(&all);
     if (!taken) return NULL;
     if (!done) return PyErr_NoMemory();
-    Py_RETURN_NONE;
+    return none();
 }
 
 const char mixture_reach_doc[] =
@@ -76,5 +76,5 @@ PyObject *py_mixture_reach(PyObject *module, PyObject *const *a, Py_ssize_t coun
     }
     release_arrays(&all);
     if (!taken) return NULL;
-    Py_RETURN_NONE;
+    return none();
 }

@@ -108,7 +108,7 @@ static int take_both(arrays *all, PyObject *const *tapes, PyObject *record, moti
 
 static PyObject *ended(arrays *all, int taken, int done) {
     release_arrays(all);
-    if (taken && done) Py_RETURN_NONE;
+    if (taken && done) return none();
     return taken ? PyErr_NoMemory() : NULL;
 }
 

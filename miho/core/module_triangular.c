@@ -9,7 +9,7 @@ static int is_pressed(void *state) { return PyOS_InterruptOccurred(); }
 
 /* Return nothing, or raise KeyboardInterrupt. */
 static PyObject *ended(const watch *by) {
-    if (!by->stopped) Py_RETURN_NONE;
+    if (!by->stopped) return none();
     PyErr_SetNone(PyExc_KeyboardInterrupt);
     return NULL;
 }
