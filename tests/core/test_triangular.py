@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -27,3 +29,12 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
         machine().solve_in_box(T, v, v, -v, s, s)
     with pytest.raises(TypeError, match="takes 6 arguments"):
         machine().solve_in_box(T, v)
+
+
+def test_none_keeps_its_references() -> None:
+    """Also in a build by another version of Python, where None may be immortal."""
+    T, columns = np.zeros((3, 3)), np.ones((3, 8))
+    before = sys.getrefcount(None)
+    for _ in range(1000):
+        machine().fold(T, columns, 8, 3)
+    assert abs(sys.getrefcount(None) - before) < 500
