@@ -137,9 +137,9 @@ def measured(case: Case, rows: int, repeats: int) -> dict[str, Any]:
     out = np.empty((1, 1, rows)), np.empty((1, d, rows))
     everything = np.empty((1, d + 1, rows))
     for level, name in enumerate(machine().levels()):
-        one, two = case.together.at_level(level), [t.at_level(level) for t in case.tapes]
-        jobs[name] = partial(machine().evaluate, one, theta[None], X, everything)
-        jobs[two_tapes(name)] = partial(both, machine().evaluate, two, theta[None], X, *out)
+        together, separate = case.together.at_level(level), [t.at_level(level) for t in case.tapes]
+        jobs[name] = partial(machine().evaluate, together, theta[None], X, everything)
+        jobs[two_tapes(name)] = partial(both, machine().evaluate, separate, theta[None], X, *out)
     seconds = interleaved(jobs, repeats, ATOM)
     return row | {name: 1e9 * value / rows for name, value in seconds.items()}
 

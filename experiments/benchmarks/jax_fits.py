@@ -34,10 +34,10 @@ def jax_fits(t: Array, y: Array, starts: Array) -> Callable[[], Array] | None:
         return p[0] * jax.numpy.exp(-p[1] * times) + p[2]
 
     compiled = jax.jit(jax.vmap(partial(_fit, jax, decay)))
-    given = jax.numpy.asarray(starts), jax.numpy.asarray(y)
+    arguments = jax.numpy.asarray(starts), jax.numpy.asarray(y)
 
     def fit() -> Array:
-        return np.asarray(compiled(*given))
+        return np.asarray(compiled(*arguments))
 
     fit()
     return fit

@@ -76,7 +76,7 @@ def _soon(event: NDArray[np.bool_], clock: Array) -> NDArray[np.bool_]:
 def compare(root: Path, like: Identity) -> None:
     """Write table, figure and origin of the stored scores below a folder that one is `like`."""
     stored, others = comparable(root, like)
-    scores = pd.DataFrame([one["score"] for one in stored]).sort_values(["tracker", "seed"])
+    scores = pd.DataFrame([session["score"] for session in stored]).sort_values(["tracker", "seed"])
     write_text(root / "scores.csv", csv_text(scores))
     rng, lines = np.random.default_rng(0), []
     for tracker, group in scores.groupby("tracker"):
@@ -98,7 +98,9 @@ def compare(root: Path, like: Identity) -> None:
     about = {
         "command": command_line("experiments.track"),
         **{name: stored[0][name] for name in SHARED},
-        "sessions": [{n: one[n] for n in ("optimizer", "seed", "id", "data")} for one in stored],
+        "sessions": [
+            {n: session[n] for n in ("optimizer", "seed", "id", "data")} for session in stored
+        ],
         "environment": lasting(stored[0]["environment"]),
     }
     write_text(root / PROVENANCE, json.dumps(about, indent=1) + "\n")

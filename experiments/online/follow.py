@@ -51,14 +51,14 @@ def follow(cfg: DictConfig, root: Path, task: Task, running: Running) -> Session
     finally:
         from experiments.online.results import write_session  # slow: it draws
 
-        said = [in_words(alarm, words) for alarm in session.alarms]
+        sentences = [in_words(alarm, words) for alarm in session.alarms]
         if session.last is not None:
             if view is not None:
-                view.show(session.last, said, last=True)
+                view.show(session.last, sentences, last=True)
             title = f"Parameters tracked by {name}"
-            paths = write_session(root, running, session.alarms, said, title, task.units)
+            paths = write_session(root, running, session.alarms, sentences, title, task.units)
             out = sys.stdout if quiet else sys.stderr
-            for text in said:
+            for text in sentences:
                 print(f"{name}, seed {cfg.seed}: {text}" if several else text, file=out)
             if not several:
                 print("\n".join(map(str, paths)), file=out)

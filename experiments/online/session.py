@@ -1,4 +1,4 @@
-"""A session: each row updates the method, and its state is answered, kept and shown."""
+"""A session: each row updates the method, and its state is answered, stored and shown."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Session:
         self.root.mkdir(parents=True, exist_ok=True)
         with (
             (self.root / STATES).open("a", encoding="utf-8", newline="") as file,
-            (self.root / ROWS).open("a", encoding="utf-8", newline="") as kept,
+            (self.root / ROWS).open("a", encoding="utf-8", newline="") as rows_file,
         ):
             written = time.monotonic()
             for row in source.rows():
@@ -77,10 +77,10 @@ class Session:
                 if self.view is not None:
                     self.view.show(state, [in_words(alarm, self.words) for alarm in self.alarms])
                 self._write(file, state)
-                kept.write(json.dumps(values) + "\n")
+                rows_file.write(json.dumps(values) + "\n")
                 if time.monotonic() - written > FLUSHED:
                     file.flush()
-                    kept.flush()
+                    rows_file.flush()
                     written = time.monotonic()
 
     def _write(self, file: TextIO, state: TrackerState) -> None:

@@ -6,6 +6,12 @@ int64_t product_of(int64_t a, int64_t b) {
     return __builtin_mul_overflow(a, b, &product) ? -1 : product;
 }
 
+void begin_call(arrays *all, const char *caller) {
+    all->caller = caller;
+    all->count = 0;
+    all->tape[0] = all->tape[1] = NULL;
+}
+
 void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, int64_t *shape) {
     int writable = kind < 'a' && kind != '?';
     char expected = kind == 'B' ? '?' : writable ? (char)(kind + ('a' - 'A')) : kind;

@@ -15,6 +15,8 @@ typedef struct {
     int count;
 } arrays;
 
+/* Without filling the room for all views, which costs as much as a small call. */
+void begin_call(arrays *all, const char *caller);
 /* Numbers of a contiguous array with this number of axes; NULL, with an error, for another array.
    `kind` is d (floats), l (integers) or ?; in capitals for an output, B for ?. Negative axes of
    `shape` are filled in. */

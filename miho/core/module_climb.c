@@ -1,5 +1,4 @@
 /* Interface of mutation steps. All shapes are checked here. */
-#include <string.h>
 #include "climb.h"
 #include "module_arrays.h"
 
@@ -65,8 +64,7 @@ PyObject *py_climb(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     const tape *t = PyCapsule_GetPointer(a[0], "tape");
     if (!t) return NULL;
     arrays all;
-    memset(&all, 0, sizeof all);
-    all.caller = "climb";
+    begin_call(&all, "climb");
     measurements m;
     climb c;
     climbed done;

@@ -1,5 +1,4 @@
 /* Interface of many fits. All indices and sizes in the arrays are checked here, once. */
-#include <string.h>
 #include "many.h"
 #include "module_arrays.h"
 
@@ -96,8 +95,7 @@ const char fit_many_doc[] =
 PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 12) return PyErr_Format(PyExc_TypeError, "fit_many takes 12 arguments");
     arrays all;
-    memset(&all, 0, sizeof all);
-    all.caller = "fit_many";
+    begin_call(&all, "fit_many");
     many_data data;
     many_starts starts;
     many_ends ends;

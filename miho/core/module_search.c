@@ -185,9 +185,7 @@ const char run_bracket_doc[] =
 PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 22) return PyErr_Format(PyExc_TypeError, "run_bracket takes 22 arguments");
     arrays all;
-    all.caller = "run_bracket";
-    all.tape[0] = all.tape[1] = NULL;
-    all.count = 0;
+    begin_call(&all, "run_bracket");
     search s;
     memset(&s, 0, sizeof s);
     int taken = take(a, &all, &s), ended = 0;

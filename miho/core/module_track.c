@@ -1,5 +1,4 @@
 /* Interface of tracking. All sizes are checked here. */
-#include <string.h>
 #include "module_arrays.h"
 #include "track.h"
 
@@ -23,20 +22,13 @@ static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_siz
     return 1;
 }
 
-/* Without filling the room for all views, which costs as much as an update. */
-static void begin(arrays *all, const char *caller) {
-    all->caller = caller;
-    all->count = 0;
-    all->tape[0] = all->tape[1] = NULL;
-}
-
 const char track_doc[] =
     "track(tape, sizes (K, d, m, p, q), rules, row (p + m + 1,), memory, estimate): update the "
     "memory by a row, and fill the estimate. See track.h.";
 PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 6) return PyErr_Format(PyExc_TypeError, "track takes 6 arguments");
     arrays all;
-    begin(&all, "track");
+    begin_call(&all, "track");
     track_sizes of;
     double *rules, *row, *memory, *estimate;
     int taken = take_sizes(a[0], a[1], &all, &of) &&
@@ -58,7 +50,7 @@ const char mixture_reach_doc[] =
 PyObject *py_mixture_reach(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 6) return PyErr_Format(PyExc_TypeError, "mixture_reach takes 6 arguments");
     arrays all;
-    begin(&all, "mixture_reach");
+    begin_call(&all, "mixture_reach");
     mixture of;
     double *centre, *out;
     int64_t shape[] = {-1, -1};

@@ -1,5 +1,4 @@
 /* Interface of trajectories. All indices and sizes in the arrays are checked here, once. */
-#include <string.h>
 #include "module_arrays.h"
 #include "trajectory.h"
 
@@ -118,8 +117,7 @@ const char solve_trajectories_doc[] =
 PyObject *py_solve_trajectories(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 5) return PyErr_Format(PyExc_TypeError, "solve_trajectories takes 5 arguments");
     arrays all;
-    memset(&all, 0, sizeof all);
-    all.caller = "solve_trajectories";
+    begin_call(&all, "solve_trajectories");
     motion m;
     course c;
     const double *thetas = NULL;
@@ -149,8 +147,7 @@ const char derive_trajectory_doc[] =
 PyObject *py_derive_trajectory(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 7) return PyErr_Format(PyExc_TypeError, "derive_trajectory takes 7 arguments");
     arrays all;
-    memset(&all, 0, sizeof all);
-    all.caller = "derive_trajectory";
+    begin_call(&all, "derive_trajectory");
     motion m;
     course c;
     slopes of[2];

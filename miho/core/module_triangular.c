@@ -1,6 +1,5 @@
 /* Interface of factors and small problems, for searches whose residuals come from Python. */
 #include <stdlib.h>
-#include <string.h>
 #include "module_arrays.h"
 #include "search.h"
 
@@ -14,20 +13,13 @@ static PyObject *ended(const watch *by) {
     return NULL;
 }
 
-/* Without filling the room for all views, which takes longer than a small factor. */
-static void begin(arrays *all, const char *caller) {
-    all->caller = caller;
-    all->count = 0;
-    all->tape[0] = all->tape[1] = NULL;
-}
-
 const char fold_doc[] =
     "fold(T (side, side), columns (k, stride), rows, n): update the factor T by rows, given as n "
     "columns, which are overwritten. See miho.compiled.triangular.fold.";
 PyObject *py_fold(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 4) return PyErr_Format(PyExc_TypeError, "fold takes 4 arguments");
     arrays all;
-    begin(&all, "fold");
+    begin_call(&all, "fold");
     watch by = {is_pressed, NULL, 0.0, 0};
     int64_t side[] = {-1, -1}, shape[] = {-1, -1};
     int64_t rows = PyLong_AsLongLong(a[2]), n = PyLong_AsLongLong(a[3]);
@@ -70,7 +62,7 @@ const char solve_in_box_doc[] =
 PyObject *py_solve_in_box(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 6) return PyErr_Format(PyExc_TypeError, "solve_in_box takes 6 arguments");
     arrays all;
-    begin(&all, "solve_in_box");
+    begin_call(&all, "solve_in_box");
     box_problem b;
     int64_t n = -1;
     double *s = array_of(&all, a[5], "s", 'D', 1, &n), *room = NULL;

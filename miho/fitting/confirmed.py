@@ -51,7 +51,7 @@ def by_calls(
         return same
 
     formula = model if isinstance(model, FunctionFormula) and len(thetas) > 1 else None
-    if agree() if formula is None else formula.passed("agrees", agree, thetas):
+    if agree() if formula is None else formula.passed("agrees", agree, thetas, *inputs):
         return None
     sys.stderr.write(
         f"miho: {problem.name}: the function gives other values for numbers than for arrays, so it "

@@ -214,9 +214,7 @@ class FunctionModel(DifferencedModel):
 
         def usable() -> bool:
             values = traced.predict(thetas, *columns)
-            if not traced.passed(
-                "agrees", lambda: alike(self.predict(thetas, *columns), values), thetas
-            ):
+            if not alike(self.predict(thetas, *columns), values):
                 return False
             slopes = np.isfinite(traced.jacobian(thetas, *columns)).all(axis=2)
             return bool((slopes | ~np.isfinite(values)).all())
@@ -351,8 +349,8 @@ class FunctionFormula(TracedExpression):
     def passed(self, name: str, check: Callable[[], bool], *arrays: Array) -> bool:
         """Return whether the formula passes a check that depends on these arrays alone.
 
-        Each process checks once, so many fits of a function within the same bounds share the check,
-        unless the arrays are large.
+        A process checks once for the same formula and arrays, unless the arrays are large. The
+        result of a fit is compared with the function in any case.
         """
         try:
             known = PASSED.setdefault(self.function.function, set())

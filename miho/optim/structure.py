@@ -54,8 +54,8 @@ Order = NDArray[np.intp]
 def has_structure(inputs: Sequence[Array], residuals: Array, order: Order | None = None) -> bool:
     """Whether residuals (N,) have a structure along the inputs, (rows,) each, that noise lacks.
 
-    The residuals are those of the first rows in this order; residuals of priors, after all rows,
-    are left out.
+    The residuals belong to the first rows in this order. Residuals of priors come after all rows
+    and are left out.
     """
     places = np.arange(residuals.size) if order is None else order[: residuals.size]
     data = places < inputs[0].size
