@@ -16,11 +16,10 @@ from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
 from experiments.app.working import State
 from miho.identification import Square, linear_optimum
-from miho.identification.conclusion import kind_of
 from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import marked
 from miho.identification.validation import root_mean_square
-from miho.optim import Descents, agreement, in_optimum
+from miho.optim import Descents, in_optimum
 from miho.parallel.usage import Usage
 from miho.study import Status, StoredRun
 
@@ -172,11 +171,8 @@ def _ending(
         return f"{ending}, in the only optimum: the problem is linear in all its parameters"
     if descents is None:
         return ending
-    finished, kind = descents.finished, kind_of([descents])
-    agreed = agreement(
-        descents.ends, resolution, best=loss, finished=finished, dropped=descents.dropped
-    )
-    enough = agreed.enough and descents.settled
+    finished, kind = descents.finished, descents.kinds
+    enough = descents.agreement(loss, resolution).enough and descents.settled
     ending += f", {'after' if enough else 'before'} enough of its {kind} agreed"
     if found_by:
         ending += f"; {found_by} found a better optimum"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from miho.optim import Agreement, Descents, agreement
+from miho.optim import Descents
 
 if TYPE_CHECKING:
     from miho.identification.irreducible import Irreducible
@@ -44,17 +44,6 @@ class Conclusion:
         return f"In doubt: {self.doubt}." if self.doubt else f"Converged: {self.evidence}."
 
 
-def kind_of(searches: Sequence[Descents]) -> str:
-    """The name of these searches: "independent searches" if all are brackets, else "descents"."""
-    brackets = searches and all(search.brackets for search in searches)
-    return "independent searches" if brackets else "descents"
-
-
-def singular(kind: str) -> str:
-    """The name of one search of a kind."""
-    return {"independent searches": "independent search", "descents": "descent"}[kind]
-
-
 def conclusion_from(
     loss: float,
     rounding: float,
@@ -89,22 +78,20 @@ def conclusion_from(
     """
     if best_known is not None:
         return _against_the_best_known(loss, best_known, rounding)
-    finished = sum(search.finished for search in searches)
-    screened = sum(search.screened for search in searches)
-    kind, agreed = kind_of(searches), _agreement(searches, loss, rounding)
+    all_of = Descents.together(searches)
+    finished, dropped, screened = all_of.finished, all_of.dropped, all_of.screened
+    agreed = all_of.agreement(loss, rounding)
     agreeing = agreed.agreeing
-    dropped = sum(search.dropped for search in searches)
     starts = f" ({screened:,} starting points screened)" * bool(screened)
-    counted = f"{finished} {kind if finished > 1 else singular(kind)}"
+    counted = f"{finished} {all_of.kinds if finished > 1 else all_of.kind}"
     count = f"{agreeing or 'none'} of {counted}{starts} found this optimum{_stopped_early(dropped)}"
     chance = f"chance that another search finds a better one: {100 * agreed.better:.2g} %"
 
     # Sufficient evidence: searches that agree, or an error that no curve can improve much.
-    settled = [search for search in searches if search.settled]
-    all_settled = len(settled) == len(searches)
-    if agreed.enough and (all_settled or _agreement(settled, loss, rounding).enough):
+    settled = Descents.together(search for search in searches if search.settled)
+    if agreed.enough and settled.agreement(loss, rounding).enough:
         return Conclusion(f"{count}. Estimated {chance}")
-    alike = all_settled and agreeing == finished
+    alike = all_of.settled and agreeing == finished
     if alike and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
         if below <= BEATEN:
@@ -119,17 +106,17 @@ def conclusion_from(
         single = "a single search cannot show whether a better optimum exists"
         return Conclusion(single, single)
     if not finished:
-        unfinished = f"no {singular(kind)} finished within the budget"
+        unfinished = f"no {all_of.kind} finished within the budget"
         return Conclusion(unfinished, unfinished)
     if finished == 1:
         place = "found this optimum" if agreeing else "ended elsewhere"
-        count = f"the only finished {singular(kind)}{starts} {place}{_stopped_early(dropped)}"
+        count = f"the only finished {all_of.kind}{starts} {place}{_stopped_early(dropped)}"
     doubt = f"only {count}" if 0 < agreeing < finished else count
     if agreed.optima > 1:
         errors = agreed.optima - dropped
         doubt += f"; they ended at {errors} different errors" * (errors > 1)
         doubt += f"; estimated {chance}" * (agreed.returned and not agreed.enough)
-    if not all_settled:
+    if not all_of.settled:
         doubt += "; the search ended before the evidence was sufficient"
     elif agreeing == finished:
         doubt += ", and one is too few" if finished == 1 else f", and {finished} are too few"
@@ -150,14 +137,3 @@ def _stopped_early(count: int) -> str:
         return ""
     verb, pronoun = ("was", "it was") if count == 1 else ("were", "they were")
     return f", and {count} {verb} stopped on a part of the rows because {pronoun} no better"
-
-
-def _agreement(searches: Sequence[Descents], loss: float, rounding: float) -> Agreement:
-    """How the ends of all these searches agree on an optimum of this loss."""
-    return agreement(
-        [end for search in searches for end in search.ends],
-        rounding,
-        best=loss,
-        finished=sum(search.finished for search in searches),
-        dropped=sum(search.dropped for search in searches),
-    )

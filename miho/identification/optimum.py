@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.identification.closed_form import linear_optimum
-from miho.identification.conclusion import Conclusion, conclusion_from, kind_of, singular
+from miho.identification.conclusion import Conclusion, conclusion_from
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.irreducible import irreducible_of
@@ -141,15 +141,13 @@ def _by_descents(
 
 def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
     """A clause on the final errors of the search, whose result has the loss `before`."""
-    ends = [end for search in searches for end in search.ends]
-    error = f"{math.sqrt(min(ends, default=before)):.5g} {unit}".rstrip()
-    if not ends:
+    search = Descents.together(searches)
+    error = f"{math.sqrt(min(search.ends, default=before)):.5g} {unit}".rstrip()
+    if not search.ends:
         return f"the search had ended at an error of {error}"
-    count = sum(search.finished for search in searches)
-    kind = kind_of(searches)
-    if count == 1:
-        return f"one {singular(kind)} had ended at an error of {error}"
-    return f"{count:,} {kind} had ended, the best of them at an error of {error}"
+    if search.finished == 1:
+        return f"one {search.kind} had ended at an error of {error}"
+    return f"{search.finished:,} {search.kinds} had ended, the best of them at an error of {error}"
 
 
 def _step(before: float, after: float) -> str:

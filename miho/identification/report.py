@@ -286,6 +286,11 @@ class Report:
         return pd.DataFrame(rows, columns=columns).assign(unit=problem.unit)
 
     @cached_property
+    def search(self) -> Descents:
+        """All descents of the run and of its check together."""
+        return Descents.together(self.searches)
+
+    @cached_property
     def descents(self) -> pd.DataFrame:
         """A row per finished descent, the best first.
 
@@ -293,7 +298,7 @@ class Report:
         the descent ended in the reported optimum. `Descents` keeps only the best of very many.
         """
         problem = self.problem
-        ends = sorted(end for search in self.searches for end in search.ends)
+        ends = self.search.ends
         loss = float(problem.loss(self.at.theta[None])[0])
         ended_here = ["yes" if in_optimum(loss, end, problem.resolution) else "no" for end in ends]
         numbers = np.arange(len(ends)) + 1

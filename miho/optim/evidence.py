@@ -54,10 +54,8 @@ class Agreement:
 
     Attributes
     ----------
-    best : float
-        Loss of the optimum; math.inf if there is none.
     agreeing : int
-        Descents that ended in it.
+        Descents that ended in the optimum.
     finished : int
         All descents that ended.
     optima : int
@@ -66,7 +64,6 @@ class Agreement:
         Probability that one more descent ends in an unseen optimum; 1 if unknown.
     """
 
-    best: float
     agreeing: int
     finished: int
     optima: int
@@ -138,7 +135,7 @@ def agreement(
     agreeing = len([end for end in ends if end <= highest])
     pairs = finished * (finished - 1)
     unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0
-    return Agreement(best, agreeing, finished, optima, unseen)
+    return Agreement(agreeing, finished, optima, unseen)
 
 
 def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:

@@ -183,16 +183,12 @@ class Starts:
     @property
     def finished(self) -> list[Descent]:
         """Descents that came to an end, with a finite loss."""
-        return [
-            descent for descent in self.descents if descent.finished and math.isfinite(descent.end)
-        ]
+        return [each for each in self.descents if each.finished and -math.inf < each.end < math.inf]
 
     @property
     def ends(self) -> list[float]:
         """Losses at the ends of finished descents, in order."""
-        return [
-            each.end for each in self.descents if each.finished and -math.inf < each.end < math.inf
-        ]
+        return [each.end for each in self.finished]
 
 
 class Minimum(NamedTuple):
@@ -306,6 +302,35 @@ class Descents:
             settled=not starts.brackets or (ended and not starts.exhausted),
             minima=best_minima(finished),
         )
+
+    @classmethod
+    def together(cls, searches: Iterable[Descents]) -> Descents:
+        """Summary of all descents of several searches; their agreement is not counted."""
+        each = list(searches)
+        counts = ("started", "finished", "converged", "stayed", "screened", "dropped")
+        return cls(
+            **{name: sum(getattr(search, name) for search in each) for name in counts},
+            ends=tuple(sorted(end for search in each for end in search.ends)),
+            brackets=bool(each) and all(search.brackets for search in each),
+            settled=all(search.settled for search in each),
+            minima=tuple(minimum for search in each for minimum in search.minima),
+        )
+
+    def agreement(self, best: float, rounding: float) -> Agreement:
+        """Agreement of the ends on an optimum of the loss `best`; see `miho.optim.agreement`."""
+        return agreement(
+            self.ends, rounding, best=best, finished=self.finished, dropped=self.dropped
+        )
+
+    @property
+    def kind(self) -> str:
+        """The name of one of these descents."""
+        return "independent search" if self.brackets else "descent"
+
+    @property
+    def kinds(self) -> str:
+        """The name of several of these descents."""
+        return "independent searches" if self.brackets else "descents"
 
     @classmethod
     def from_stored(cls, record: Mapping[str, Any]) -> Descents:

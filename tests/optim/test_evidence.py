@@ -56,19 +56,19 @@ ROUNDED = [0.0, 1e-30, 3e-28, 2e-27, 5e-25, 1e-24, 7e-22]
 @pytest.mark.parametrize(
     ("ends", "rounding", "expected", "enough"),
     [
-        ([], 0.0, Agreement(math.inf, 0, 0, 0, 1.0), False),
-        ([2.0], 0.0, Agreement(2.0, 1, 1, 1, 1.0), False),
-        ([1.0] * 4, 0.0, Agreement(1.0, 4, 4, 1, 2 / 12), False),
-        ([1.0] * 6, 0.0, Agreement(1.0, 6, 6, 1, 2 / 30), False),
-        ([1.0, 1.00009] + [1.0] * 5, 0.0, Agreement(1.0, 7, 7, 1, 2 / 42), True),
-        ([1.0, 1.00011] + [1.0] * 5, 0.0, Agreement(1.0, 6, 7, 2, 6 / 42), False),
-        ([1.0] * 5 + [2.0] * 4, 0.0, Agreement(1.0, 5, 9, 2, 6 / 72), False),
-        ([1.0] * 5 + [2.0] * 5, 0.0, Agreement(1.0, 5, 10, 2, 6 / 90), True),
-        ([1.0] * 4 + [2.0] * 6, 0.0, Agreement(1.0, 4, 10, 2, 6 / 90), False),
-        ([1.0] * 5 + [2.0] * 16, 0.0, Agreement(1.0, 5, 21, 2, 6 / 420), False),
-        (list(range(1, 9)), 0.0, Agreement(1.0, 1, 8, 8, 1.0), False),
-        (ROUNDED, 0.0, Agreement(0.0, 1, 7, 7, 1.0), False),
-        (ROUNDED, 1e-20, Agreement(0.0, 7, 7, 1, 2 / 42), True),
+        ([], 0.0, Agreement(0, 0, 0, 1.0), False),
+        ([2.0], 0.0, Agreement(1, 1, 1, 1.0), False),
+        ([1.0] * 4, 0.0, Agreement(4, 4, 1, 2 / 12), False),
+        ([1.0] * 6, 0.0, Agreement(6, 6, 1, 2 / 30), False),
+        ([1.0, 1.00009] + [1.0] * 5, 0.0, Agreement(7, 7, 1, 2 / 42), True),
+        ([1.0, 1.00011] + [1.0] * 5, 0.0, Agreement(6, 7, 2, 6 / 42), False),
+        ([1.0] * 5 + [2.0] * 4, 0.0, Agreement(5, 9, 2, 6 / 72), False),
+        ([1.0] * 5 + [2.0] * 5, 0.0, Agreement(5, 10, 2, 6 / 90), True),
+        ([1.0] * 4 + [2.0] * 6, 0.0, Agreement(4, 10, 2, 6 / 90), False),
+        ([1.0] * 5 + [2.0] * 16, 0.0, Agreement(5, 21, 2, 6 / 420), False),
+        (list(range(1, 9)), 0.0, Agreement(1, 8, 8, 1.0), False),
+        (ROUNDED, 0.0, Agreement(1, 7, 7, 1.0), False),
+        (ROUNDED, 1e-20, Agreement(7, 7, 1, 2 / 42), True),
     ],
 )  # fmt: skip
 def test_ends_that_agree_are_evidence(
@@ -87,7 +87,7 @@ def test_an_optimum_from_elsewhere_is_compared_with_the_ends() -> None:
 
 def test_what_was_dropped_ended_in_an_optimum_of_its_own() -> None:
     agreed = agreement([1.0] * 9 + [2.0], dropped=2)
-    assert agreed == Agreement(1.0, 9, 12, 4, 20 / 132)
+    assert agreed == Agreement(9, 12, 4, 20 / 132)
     assert agreement([1.0] * 9 + [2.0, 3.0, 4.0]) == agreed
     assert agreement([1.0] * 9 + [2.0], finished=12, dropped=2) == agreed
 

@@ -30,7 +30,6 @@ from miho.figures.report import (
     waterfall_figure,
 )
 from miho.identification import Report, identified
-from miho.identification.conclusion import kind_of
 from miho.models.identified import parameters_text
 from miho.models.joint import rows_of_parts
 from miho.models.layout import OUTPUT, PART
@@ -154,8 +153,8 @@ def figures_of(report: Report) -> dict[str, bytes]:
             problem.unit,
             None if report.best_known is None else math.sqrt(report.best_known),
             math.sqrt(problem.rounding),
-            kind_of(report.searches),
-            sum(search.dropped for search in report.searches),
+            report.search.kinds,
+            report.search.dropped,
         )
     if profiles:
         quantile = report.at.quantile(report.level)
@@ -186,7 +185,7 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
             "from the lowest optimum to the highest.",
         ),
         Section(
-            f"Final errors of the {kind_of(report.searches)}",
+            f"Final errors of the {report.search.kinds}",
             figure=figures.get("descents"),
             caption=_searched(report),
         ),
@@ -264,21 +263,14 @@ def _explained(report: Report) -> str:
 
 def _searched(report: Report) -> str:
     """Caption of the figure of the descents."""
-    dropped = sum(search.dropped for search in report.searches)
-    finished = sum(search.finished for search in report.searches) - dropped
-    kind = kind_of(report.searches)
-    screened = sum(search.screened for search in report.searches)
+    search = report.search
+    finished, dropped = search.finished - search.dropped, search.dropped
     which = f"the best {len(report.descents):,} " * (finished > len(report.descents))
-    starts = f", from the best of {screened:,} configurations" * bool(screened)
+    starts = f", from the best of {search.screened:,} configurations" * bool(search.screened)
     caption = (
-        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} {kind} "
+        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} {search.kinds} "
         f"ended{starts}, sorted: a horizontal section is one optimum."
     )
-    if kind == "brackets":
-        caption += (
-            " A bracket begins with several starting points, halves their number as they descend, "
-            "and ends with the last one."
-        )
     if dropped:
         caption += (
             f" {dropped:,} more were dropped on fewer rows, because they were no better there "
