@@ -66,11 +66,7 @@ def bootstrap(
     Returns
     -------
     ndarray of shape (replicates, d)
-
-    Raises
-    ------
-    ValueError
-        If a worker is lost.
+        Raises ValueError if a worker is lost.
 
     References
     ----------

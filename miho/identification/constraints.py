@@ -42,24 +42,10 @@ MOST = 500
 def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
     """Restrict a space to configurations that satisfy linear constraints.
 
-    Parameters
-    ----------
-    space : Space
-        The space with bounds of all parameters.
-    constraints : str or sequence of str
-        Chains of linear expressions, for example "a < b < c" or "a + b = 1".
-
-    Returns
-    -------
-    Space
-        The space with each parameter whose range depends on others tied to a free share. The last
-        parameter of an equation is tied to the others.
-
-    Raises
-    ------
-    ValueError
-        For a constraint that is not linear or names no parameter, or if no configuration
-        satisfies all constraints.
+    `constraints` are chains of linear expressions, for example "a < b < c" or "a + b = 1". Each
+    parameter whose range depends on others is tied to a free share, and the last parameter of an
+    equation to the others. Raises ValueError for a constraint that is not linear or names no
+    parameter, and if no configuration satisfies all constraints.
     """
     if not isinstance(constraints, str | Sequence):
         raise ValueError(f"constraints: {EXAMPLE}; got {constraints!r}")

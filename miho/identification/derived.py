@@ -25,21 +25,9 @@ parameter changes by at least STEP."""
 
 
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
-    """Return the derived quantities of a model.
+    """The derived quantities of a model, which may depend on its data.
 
-    A joint model has the quantities of each part. Fixed and tied parameters come first.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    dataset : Dataset
-        Its data, on which quantities may depend.
-
-    Returns
-    -------
-    tuple of Derived
-        The quantities.
+    Fixed and tied parameters come first. A joint model has the quantities of each part.
     """
     if isinstance(model, Tied):
         return _tied(model, dataset)
@@ -85,81 +73,29 @@ def _chosen(quantity: Derived, places: list[int], thetas: Array) -> Array:
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
-    """Return value and standard error of a derived quantity, to first order in the parameters.
+    """Value and standard error of a derived quantity, to first order in the parameters.
 
-    Parameters
-    ----------
-    quantity : Derived
-        The quantity.
-    at : Linearised
-        The model at the optimum.
-
-    Returns
-    -------
-    value, error : float
-        In the unit of the quantity. The error is NaN if the quantity depends only on parameters at
-        a bound.
+    The error is NaN if the quantity depends only on parameters at a bound.
     """
     value = float(quantity.evaluate(at.theta[None])[0])
     return value, float(at.spread(_slopes(quantity, at)[None])[0])
 
 
 def interval_of(quantity: Derived, at: Linearised, level: float) -> Array:
-    """Return the linearised interval of a derived quantity.
-
-    Parameters
-    ----------
-    quantity : Derived
-        The quantity.
-    at : Linearised
-        The model at the optimum.
-    level : float
-        Confidence level.
-
-    Returns
-    -------
-    ndarray, shape (1, 2)
-        Lower and upper end, in the unit of the quantity.
-    """
+    """The linearised interval (1, 2) of a derived quantity."""
     value, error = delta_method(quantity, at)
     reach = float(at.quantiles(gradient(quantity, at)[None], level)[0]) * error
     return np.array([[value - reach, value + reach]])
 
 
 def is_held(quantity: Derived, at: Linearised) -> bool:
-    """Whether a derived quantity depends only on parameters at a bound.
-
-    Parameters
-    ----------
-    quantity : Derived
-        The quantity.
-    at : Linearised
-        The model at the optimum.
-
-    Returns
-    -------
-    bool
-        False for a quantity that depends on no parameter.
-    """
+    """Whether a derived quantity depends on parameters, all of which are at a bound."""
     slopes = _slopes(quantity, at)
     return bool(slopes[at.at_bound].any() and not slopes[~at.at_bound].any())
 
 
 def gradient(quantity: Derived, at: Linearised) -> Array:
-    """Return the derivatives of a derived quantity by the parameters.
-
-    Parameters
-    ----------
-    quantity : Derived
-        The quantity.
-    at : Linearised
-        The model at the optimum.
-
-    Returns
-    -------
-    ndarray, shape (d,)
-        Derivatives, 0 for parameters at a bound.
-    """
+    """Derivatives (d,) of a derived quantity, 0 for parameters at a bound."""
     return np.where(at.at_bound, 0.0, _slopes(quantity, at))
 
 

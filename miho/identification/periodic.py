@@ -45,17 +45,8 @@ def searches_period(problem: CurveFit) -> bool:
 
     This is the case if the angle of a sine, cosine or tangent follows an input without bound, and
     passes through one period more at one place of the box than at another. The sine of an
-    arctangent in the Magic Formula has no period.
-
-    Parameters
-    ----------
-    problem : CurveFit
-        The problem.
-
-    Returns
-    -------
-    bool
-        False also for a model that is no formula, of which this is unknown.
+    arctangent in the Magic Formula has no period. The result is False for
+    a model that is no formula.
     """
     space = problem.space
     thetas = space.decode(space.initial(STARTS))

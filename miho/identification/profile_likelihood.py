@@ -128,19 +128,10 @@ def likelihood_profile(
     level : float
         Confidence level of the interval, between 0 and 1.
     deadline : Deadline, optional
-        The time limit.
+        The time limit, after which OutOfTimeError is raised.
     others : sequence of Linearised
         Further optima within the noise. The profile is then the lower envelope of the profiles from
         all optima, and the interval is the hull of all values within.
-
-    Returns
-    -------
-    Profile
-
-    Raises
-    ------
-    OutOfTimeError
-        After the deadline.
 
     References
     ----------

@@ -102,33 +102,15 @@ def leave_one_out(
 ) -> pd.DataFrame:
     """Errors on each group of a condition, from a fit without the group.
 
-    Parameters
-    ----------
-    problem : CurveFit
-        The problem.
-    theta : ndarray of shape (d,)
-        Its optimum, the start of all fits.
-    condition : str
-        The column that defines the groups.
-    fixed : sequence of int
-        Positions of parameters that do not change.
-    deadline : Deadline, optional
-        The time limit.
-    pool : Pool, optional
-        Workers for expensive fits.
+    All fits start at the optimum `theta` (d,), and parameters at the positions `fixed` do not
+    change. `pool` shares expensive fits. Raises OutOfTimeError after the deadline, and
+    WorkerLostError if a worker is lost.
 
     Returns
     -------
     DataFrame
         A row per group: condition, range and unit of the group, number of rows, error on the group
         at the optimum, and error of the fit without the group, both in the unit of the output.
-
-    Raises
-    ------
-    OutOfTimeError
-        After the deadline.
-    WorkerLostError
-        If a worker is lost.
     """
     dataset = problem.dataset
     values = dataset[condition]
@@ -182,16 +164,8 @@ def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = Non
 
     The first input forms groups alone. Other columns form groups together with it, because the
     effect of a load, for example, has the sign of the slip. No fit of this model can remove errors
-    that a column explains which is not an input.
-
-    Parameters
-    ----------
-    problem : CurveFit
-        The problem.
-    theta : ndarray of shape (d,)
-        Its optimum.
-    at : Linearised, optional
-        Its uncertainty, with the dependence of neighbouring rows.
+    that a column explains which is not an input. `at` is the uncertainty of the optimum `theta`
+    (d,), with the dependence of neighbouring rows.
 
     Returns
     -------

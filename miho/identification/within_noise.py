@@ -43,25 +43,10 @@ def optima_within_noise(
     The sum of squares of these optima exceeds the smallest one by no more than a profile interval
     of this `level` allows. Optima that give the same curve count once.
 
-    Parameters
-    ----------
-    problem : CurveFit
-        The problem.
-    optimum : Refit
-        The best optimum so far.
-    minima : sequence of Minimum
-        The ends of the descents of a search. A new descent from each minimum that may be within
-        the noise leads to its optimum, which replaces the best one if it is better.
-    level : float
-        Confidence level of the intervals, between 0 and 1.
-    deadline : Deadline, optional
-        No further minimum is examined after it.
-
-    Returns
-    -------
-    tuple of Refit
-        At least one optimum. Only the best one if the data number events or have no noise, because
-        there is no likelihood ratio then.
+    A new descent from each of the `minima`, the ends of a search, that may be within the noise
+    leads to its optimum, which replaces the best one if it is better. No minimum is examined after
+    the deadline. The result is `optimum` alone if the data number events or have no noise, because
+    there is no likelihood ratio then.
     """
     count, known = problem.residual_count, [_Known(problem, optimum)]
     highest = _loosely(problem, optimum, level)
