@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
@@ -12,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled import kernel_for, taped_loss
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     examined,
+    model_of,
     with_defaults,
 )
 from miho.identification.loss import Loss, Square
+from miho.identification.residuals import Residuals
 from miho.identification.row_order import row_order
-from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model, expensive_leaves
-from miho.models.traced import Remade, TracedExpression, is_formula
+from miho.models.traced import Remade
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Parameter, Space
@@ -34,9 +33,7 @@ from miho.quantities import Array
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
     from miho.compiled.kernel import Rows
-    from miho.compiled.taped import TapedLoss
     from miho.identification.prior import PriorResiduals
-    from miho.identification.residual_formula import ResidualFormula
     from miho.parallel import Evaluations
 
 FRACTION = 1e-12
@@ -47,15 +44,8 @@ ROUNDING = 100.0
 residual of a row is rounded by some EPSILON of the output, r, which changes a loss L by up to 2 r
 sqrt(L). This never exceeds AGREEING L + (ROUNDING r)^2, within which two losses count as equal: 100
 is 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
-REMEMBERED = 1 << 20
-"""Errors to remember, as numbers, for the derivatives of a robust loss at the same
-configurations."""
-OF_THE_MODEL = (
-    "noise", "_fitted", "_taped", "_formula", "_residual_formula", "_taped_residuals", "_of_thread",
-)  # fmt: skip
+OF_THE_MODEL = "noise", "_residuals"
 """Cached attributes that depend on the form of the model."""
-BLOCK = 50_000
-"""Model values per block; the temporaries of one block stay in the cache of one core."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +123,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     expensive: InitVar[bool] = False
 
     def __post_init__(self, expensive: bool) -> None:
-        model = _model(self.model)
+        model = model_of(self.model)
         object.__setattr__(self, "space", with_defaults(self.space, model))
         if isinstance(model, FunctionModel):
             model = examined(model, self.dataset, self.space, expensive)
@@ -244,83 +234,36 @@ class CurveFit(Remade, LeastSquaresProblem):
         return np.asarray(self.scale / self.dataset[self.sigma])
 
     @cached_property
-    def _fitted(self) -> Model:
-        """The model of the weighted output `_target`, a function of `_columns`."""
-        if self.weights is None:
-            return self.model
-        from miho.models.weighted import weighted
+    def _residuals(self) -> Residuals:
+        """The residuals of the weighted output."""
+        model, columns, target = self.model, self.inputs, self._output
+        if self.weights is not None:
+            from miho.models.weighted import weighted
 
-        return weighted(self.model)
+            model, columns = weighted(model), (*columns, self.weights)
+            target = target * self.weights
+        return Residuals(
+            model=model,
+            columns=columns,
+            target=target,
+            rho=self.rho,
+            prior=self.prior,
+            order=lambda: self._order,
+            trials=lambda: self.space.decode(self.space.initial(TRIALS)),
+            name=self.model.name or type(self.model).__name__,
+            threads=self.threads,
+            compiled=self.compiled,
+        )
 
-    @cached_property
-    def _columns(self) -> tuple[Array, ...]:
-        return self.inputs if self.weights is None else (*self.inputs, self.weights)
-
-    @cached_property
-    def _target(self) -> Array:
-        return self._output if self.weights is None else self._output * self.weights
-
-    @cached_property
+    @property
     def kernel(self) -> FitKernel | None:
         """Fast forms of the loss, None if the machine cannot run it."""
-        formula = self._formula if self.compiled else None
-        taped = None if formula is None else self._taped_residuals
-        if formula is None or taped is None:
-            return None
-        thetas = self.space.decode(self.space.initial(TRIALS))
-        name = self.model.name or type(self.model).__name__
-        return kernel_for(taped, formula, thetas, name=name)
-
-    @property
-    def _plain(self) -> bool:
-        """Whether the residuals are the errors."""
-        return self._square and self.prior is None
-
-    @cached_property
-    def _formula(self) -> Expression | None:
-        """Formula of the residuals plus a target, None if the model is no formula."""
-        if self._plain:
-            fitted = self._fitted
-            return fitted if isinstance(fitted, Expression) and is_formula(fitted) else None
-        return None if self._residual_formula is None else self._residual_formula.model
-
-    @cached_property
-    def _residual_formula(self) -> ResidualFormula | None:
-        """All residuals as a formula, or None if the model is no formula."""
-        from miho.identification.residual_formula import residual_formula
-
-        return residual_formula(self._fitted, self._columns, self._target, self.rho, self.prior)
-
-    @cached_property
-    def _taped_residuals(self) -> TapedLoss | None:
-        """All residuals on the machine, None if it cannot run them."""
-        formula = None if self._plain else self._residual_formula
-        if formula is None:
-            return self._taped
-        model, columns, target = formula
-
-        def order() -> NDArray[np.intp]:
-            return np.arange(target.size) if self._all_rows else self._order
-
-        return taped_loss(model, np.array(columns), target, order, threads=self.threads)
-
-    @cached_property
-    def _taped(self) -> TapedLoss | None:
-        """The model on the machine, None if the machine cannot run it."""
-        if not isinstance(self._fitted, Expression):
-            return None
-        columns, target = np.array(self._columns), self._target
-        return taped_loss(self._fitted, columns, target, lambda: self._order, threads=self.threads)
-
-    @property
-    def _of_graph(self) -> TapedLoss | None:
-        """The model on the machine if it is a traced function; it needs no check against NumPy."""
-        return self._taped if isinstance(self._fitted, TracedExpression) else None
+        return self._residuals.kernel
 
     @property
     def machine_rows(self) -> Rows | None:
         """Residuals and their derivatives by the machine, None without it."""
-        taped = self._taped_residuals if self.compiled else None
+        taped = self._residuals.taped
         return None if taped is None else taped.rows_of(taped.X, taped.y)
 
     @cached_property
@@ -355,21 +298,18 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def cost(self, fidelity: float) -> float:
         """Fraction of the rows that a fidelity uses; 1 if the model needs all rows."""
-        return self._rows(fidelity) / len(self.dataset)
+        return (self._rows(fidelity) or len(self.dataset)) / len(self.dataset)
 
     @property
     def rows(self) -> int | None:
         """Number of rows of the data, None if a loss needs all of them."""
         return None if self._all_rows else len(self.dataset)
 
-    def _rows(self, fidelity: float) -> int:
+    def _rows(self, fidelity: float) -> int | None:
+        """Number of rows that a fidelity uses, None for all."""
         N = len(self.dataset)
-        return N if self._all_rows else min(N, math.ceil(fidelity * N * (1 - FRACTION)))
-
-    def _part(self, fidelity: float) -> NDArray[np.intp] | None:
-        """Rows that a fidelity uses, None for all."""
-        rows = self._rows(fidelity)
-        return None if rows == len(self.dataset) else self._order[:rows]
+        rows = N if self._all_rows else math.ceil(fidelity * N * (1 - FRACTION))
+        return rows if rows < N else None
 
     @property
     def jacobian_cost(self) -> int | None:
@@ -431,44 +371,16 @@ class CurveFit(Remade, LeastSquaresProblem):
         ndarray of shape (n,)
             Losses, in the output's unit squared.
         """
-        columns, output, rows = self._columns, self._target, self._rows(fidelity)
-        if self._of_graph is not None and self._plain:
-            return self._of_graph.losses(thetas, rows)
-        if self.kernel is not None:
-            losses = self.kernel.losses(thetas, None if self._all_rows else rows)
-            if losses is not None:
-                return losses
-        if rows < output.size:
-            part = self._order[:rows]
-            columns, output = tuple(column[part] for column in columns), output[part]
-        block = max(1, BLOCK // output.size)
-        if len(thetas) <= block:
-            return self._block_loss(thetas, columns, output)
-        losses = np.empty(len(thetas))
-        for start in range(0, len(thetas), block):
-            batch = slice(start, start + block)
-            losses[batch] = self._block_loss(thetas[batch], columns, output)
-        return losses
-
-    def _block_loss(self, thetas: Array, columns: tuple[Array, ...], output: Array) -> Array:
-        residuals = self._fitted.predict(thetas, *columns)
-        residuals -= output
-        return mean_square(self._with_prior(thetas, self.rho.transform(residuals)))
+        return self._residuals.losses(thetas, self._rows(fidelity))
 
     def losses_of(self, outputs: Array) -> Array:
         """Mean squared errors (n,) of model outputs (n, N), without priors."""
         residuals = outputs if self.weights is None else outputs * self.weights
-        return mean_square(self.rho.transform(residuals - self._target))
-
-    def _with_prior(self, thetas: Array, residuals: Array) -> Array:
-        """Residuals (n, N), followed by the residuals of priors."""
-        if self.prior is None:
-            return residuals
-        return np.hstack([residuals, self.prior.residuals(thetas)])
+        return mean_square(self.rho.transform(residuals - self._residuals.target))
 
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Weighted difference of model and data, (m,), at one configuration (d,)."""
-        return np.asarray(self._errors(theta[None], fidelity)[0])
+        return np.asarray(self._residuals.errors(theta[None], self._rows(fidelity))[0])
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Residuals (m,) at one configuration (d,), weighted and transformed, with priors last."""
@@ -476,78 +388,12 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Residuals (n, m) of several configurations (n, d), evaluated together."""
-        errors = self._errors(thetas, fidelity)
-        if self._square:
-            return self._with_prior(thetas, errors)
-        for theta, row in zip(thetas, errors, strict=True):
-            if not np.isfinite(row).all():  # no derivatives, or still at a worker
-                continue
-            while len(self._latest_errors) >= max(1, REMEMBERED // row.size):
-                del self._latest_errors[next(iter(self._latest_errors))]
-            self._latest_errors[theta.tobytes(), row.size] = row.copy()
-        return self.rho.transform(errors)
-
-    def _errors(self, thetas: Array, fidelity: float) -> Array:
-        part = self._part(fidelity)
-        if self._of_graph is not None:
-            return self._of_graph.residuals(thetas, None if part is None else part.size)
-        if part is None and self._plain and self.kernel is not None:
-            residuals = self.kernel.residuals(thetas)
-            if residuals is not None:
-                return residuals
-        errors = self._fitted.predict(thetas, *self._columns_of(part))
-        errors -= self._target if part is None else self._target[part]
-        return np.asarray(errors)
-
-    @property
-    def _latest_errors(self) -> dict[tuple[bytes, int], Array]:
-        """Latest errors of this thread by configuration and row count, for robust derivatives."""
-        errors: dict[tuple[bytes, int], Array] = vars(self._of_thread).setdefault("errors", {})
-        return errors
-
-    @cached_property
-    def _of_thread(self) -> threading.local:
-        return threading.local()
+        return self._residuals.at(thetas, self._rows(fidelity))
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d), at one configuration (d,)."""
-        part = self._part(fidelity)
-        if self._of_graph is None and part is None and self._plain and self.kernel is not None:
-            derivatives = self.kernel.jacobian(theta)
-            if derivatives is not None:
-                return derivatives
-        if self._of_graph is not None:
-            derivatives = self._of_graph.jacobian(theta, None if part is None else part.size)
-        else:
-            derivatives = self._fitted.jacobian(theta, *self._columns_of(part))
-        if self.prior is not None:
-            return np.vstack([derivatives, self.prior.slopes(theta)])
-        if self._square:
-            return derivatives
-        from miho.identification.robust_loss import slope
-
-        errors = self._latest_errors.get((theta.tobytes(), len(derivatives)))
-        if errors is None:
-            errors = self.errors(theta, fidelity)
-        return np.asarray(slope(self.rho, errors)[:, None] * derivatives)
+        return self._residuals.jacobian(theta, self._rows(fidelity))
 
     def error_slopes(self, theta: Array) -> Array:
         """Derivatives of the errors, (N, d)."""
-        return self._fitted.jacobian(theta, *self._columns)
-
-    def _columns_of(self, part: NDArray[np.intp] | None) -> tuple[Array, ...]:
-        if part is None:
-            return self._columns
-        return tuple(column[part] for column in self._columns)
-
-
-def _model(model: object) -> Model:
-    """Return a model unchanged, and a function as a model."""
-    if callable(model) and not isinstance(model, type | Model):
-        model = FunctionModel(model)
-    if isinstance(model, Model):
-        return model
-    raise ValueError(
-        f"the model is {model!r}; expected an instance of a model class, for example Pacejka(), or "
-        'a function, for example: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'
-    )
+        return self._residuals.model.jacobian(theta, *self._residuals.columns)

@@ -68,6 +68,18 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     _check_nominal(problem, model_name)
 
 
+def model_of(model: object) -> Model:
+    """Return a model unchanged, and a function as a model."""
+    if callable(model) and not isinstance(model, type | Model):
+        model = FunctionModel(model)
+    if isinstance(model, Model):
+        return model
+    raise ValueError(
+        f"the model is {model!r}; expected an instance of a model class, for example Pacejka(), or "
+        'a function, for example: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'
+    )
+
+
 def examined(
     model: FunctionModel, dataset: Dataset, space: Space, expensive: bool = False
 ) -> Model:

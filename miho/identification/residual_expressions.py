@@ -1,4 +1,4 @@
-"""Expressions of transformed residuals, and of the residuals of priors."""
+"""Formulas of transformed residuals, and of the residuals of priors."""
 
 from __future__ import annotations
 
@@ -8,12 +8,33 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from miho.identification.loss import Loss, Square
 from miho.identification.prior import PriorResiduals
+from miho.identification.residuals import ResidualFormula
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.models.expression import Expression
 from miho.models.symbolic import Symbol, operation, trace
 from miho.models.traced import TracedExpression
 from miho.models.weighted import WithInput
+
+
+def transformed(
+    formula: ResidualFormula, rho: Loss, prior: PriorResiduals | None
+) -> ResidualFormula | None:
+    """The formula of errors (N,) with a loss or priors; None for a loss that is no formula."""
+    model, columns, target = formula
+    if isinstance(rho, Huber | Cauchy):
+        model, columns = RobustExpression(model, rho), (*columns, target)
+        target = np.zeros(target.size)
+    elif not isinstance(rho, Square):
+        return None
+    if prior is not None:
+        N, P = target.size, len(prior.parameters)
+        padded = [np.append(column, np.repeat(column[:1], P)) for column in columns]
+        model = PriorExpression(model, prior)
+        columns = (*padded, np.append(np.zeros(N), np.arange(1.0, P + 1)))
+        target = np.append(target, np.zeros(P))
+    return ResidualFormula(model, columns, target)
 
 
 @dataclass(frozen=True)

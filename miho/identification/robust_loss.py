@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,9 @@ import numpy as np
 from miho.identification.loss import Loss
 from miho.quantities import Array
 from miho.validate import positive
+
+REMEMBERED = 1 << 20
+"""Numbers of errors that a thread remembers, for derivatives at the same configurations."""
 
 
 @dataclass(frozen=True)
@@ -85,3 +89,23 @@ def slope(loss: Loss, residuals: Array) -> Array:
     transformed = loss.transform(residuals)
     psi = loss.influence(residuals)[0]
     return np.divide(psi, transformed, out=np.ones_like(psi), where=transformed != 0)
+
+
+class LatestErrors(threading.local):
+    """The latest errors of a thread by configuration (d,), from which derivatives follow."""
+
+    def __init__(self) -> None:
+        self._errors: dict[tuple[bytes, int], Array] = {}
+
+    def keep(self, thetas: Array, errors: Array) -> None:
+        """Remember errors (n, m) at configurations (n, d), in place of the oldest ones."""
+        for theta, row in zip(thetas, errors, strict=True):
+            if not np.isfinite(row).all():  # no derivatives, or still at a worker
+                continue
+            while len(self._errors) >= max(1, REMEMBERED // row.size):
+                del self._errors[next(iter(self._errors))]
+            self._errors[theta.tobytes(), row.size] = row.copy()
+
+    def at(self, theta: Array, rows: int) -> Array | None:
+        """The errors (rows,) at a configuration (d,), None if they are not known."""
+        return self._errors.get((theta.tobytes(), rows))
