@@ -156,8 +156,9 @@ class Fit(Remade):
         """Optima that the data cannot distinguish from this one, a row each, this one first.
 
         The table is empty if there is only one optimum. Chi-squared of each row exceeds the
-        smallest by no more than an interval of `level` allows; if
-        the noise is unknown, the residuals estimate its variance.
+        smallest by no more than an interval of `level` allows; if the noise is unknown, the
+        residuals estimate its variance. Raises ValueError if there are no more rows than
+        parameters.
 
         Returns
         -------
@@ -165,11 +166,6 @@ class Fit(Remade):
             Columns `optimum` (from 1, this fit), `excess` (of chi-squared over the first), the
             parameters and the derived quantities of the model. The intervals of `parameters` span
             all optima.
-
-        Raises
-        ------
-        ValueError
-            If there are no more rows than parameters.
         """
         from miho.identification.alternatives import optima_table
 
@@ -190,7 +186,7 @@ class Fit(Remade):
         import pandas as pd
 
         from miho.identification.alternatives import hull
-        from miho.identification.stated import stated_parameters
+        from miho.identification.stated import stated_intervals, stated_parameters
 
         try:
             optima = self._optima
@@ -200,16 +196,10 @@ class Fit(Remade):
         tables, ends = [], []
         for at in optima:
             stated, slopes = stated_parameters(self.problem, at)
-            table = pd.DataFrame(stated).set_index("name").rename_axis(None)
-            value, reach = (
-                table["value"],
-                at.quantiles(slopes, self.level) * table["standard_error"],
-            )
-            tables.append(table)
-            ends.append(np.stack([value - reach, value + reach], axis=1))
+            tables.append(pd.DataFrame(stated).set_index("name").rename_axis(None))
+            ends.append(stated_intervals(stated, slopes, at, self.level))
         frame = tables[0]
-        points = [table["value"].to_numpy() for table in tables]
-        frame["low"], frame["high"] = hull(points, ends).T
+        frame["low"], frame["high"] = hull([table["value"].to_numpy() for table in tables], ends).T
         return frame[["value", "standard_error", "low", "high", "unit", "status"]]
 
     @property
@@ -298,9 +288,7 @@ class Fit(Remade):
             before, after = self.problem.loss(np.stack([self.theta, report.at.theta]))
             known = in_optimum(after, before, self.problem.resolution) and "_optima" in vars(self)
             others = self._optima[1:] if known else ()
-            for name in (
-                "uncertainty", "_optima", "alternatives", "parameters", "error", "notes",
-            ):  # fmt: skip
+            for name in ("uncertainty", "_optima", "alternatives", "parameters", "error", "notes"):
                 vars(self).pop(name, None)
             minima = minima_at(self.problem, report.others)
             vars(self).update(theta=report.at.theta, found_by=report.found_by, minima=minima)
@@ -366,9 +354,7 @@ class Fit(Remade):
 
     def _band(self, *columns: Array) -> tuple[Array, Array]:
         """Curve at input columns (N,), and the half width of its interval."""
-        value = self.problem.model.predict(self.theta[None], *columns)[0]
-        slopes = self.problem.model.jacobian(self.theta, *columns)
-        return value, self.uncertainty.reach(slopes, self.level)
+        return self.uncertainty.band(self.problem.model, self.level, *columns)
 
     def plot(self) -> Figure:
         """Plot the data and the curve with its interval.

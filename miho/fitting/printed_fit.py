@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from miho.identification.alternatives import several_values
 from miho.identification.dependence import alike_beside_priors
 from miho.identification.flags import REMEDY, doubtful, ended_at_bounds, held_at_bounds, unseen
+from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
     """The table of parameters as text, and the lines below it, of any length."""
     table = fit.parameters.to_string(float_format=lambda number: f"{number:.5g}")
     rows = len(fit.problem.dataset)
-    error = f"error {fit.error:.5g} {fit.problem.unit}".rstrip()
+    error = with_unit(f"error {fit.error:.5g}", fit.problem.unit)
     weights = "" if fit.problem.weights is None else ", weighted by sigma"
     alike = "; intervals allow for correlated errors of neighbouring rows"
     narrow = (

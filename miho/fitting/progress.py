@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from miho.fitting.search import title
 from miho.identification.curve_fit import CurveFit
+from miho.identification.line_wrapping import with_unit
 from miho.optim import Budget, Optimizer, Oracle, RunRecord
 from miho.optim.pace import Pace
 from miho.parallel.worth import is_expensive, span
@@ -35,7 +36,7 @@ def pace_line(
         if pace.line_due():
             error = "no value yet"
             if math.isfinite(oracle.best):
-                error = f"error {max(0.0, oracle.best) ** 0.5:.5g} {problem.unit}".rstrip()
+                error = with_unit(f"error {max(0.0, oracle.best) ** 0.5:.5g}", problem.unit)
             say(
                 f"{title(problem)}: {error} after {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:,.0f} s{pace.words(oracle)}{next(hints, '')}"

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.identification.flags import independence
+from miho.identification.line_wrapping import with_unit
 from miho.identification.report import Report
 from miho.identification.validation import OR_DRIFT, in_a_sweep, is_finding
 from miho.quantities import Array
@@ -56,8 +57,8 @@ def assumptions(design: Design) -> list[str]:
     problem, at = report.problem, report.at
     sentences = [
         "this prediction assumes that the model is right, that new errors have the present "
-        f"standard deviation ({at.noise:.3g}{_unit(problem.unit)}), and that the new optimum is "
-        "near this one: measure, fit again, and plan again."
+        f"standard deviation ({with_unit(f'{at.noise:.3g}', problem.unit)}), and that the new "
+        "optimum is near this one: measure, fit again, and plan again."
     ]
     if report.conclusion.doubt:
         sentences.append(
@@ -146,7 +147,7 @@ def range_text(name: str, values: Array, unit: str) -> str:
     elif unit in ("N", "Pa") and max(abs(low), abs(high)) >= KILO:
         low, high, unit = low / KILO, high / KILO, f"k{unit}"
     ends = [f"{end:.3g}" for end in (low, high)]
-    return f"{name} {' to '.join(dict.fromkeys(ends))}{_unit(unit)}"
+    return with_unit(f"{name} {' to '.join(dict.fromkeys(ends))}", unit)
 
 
 def _narrowing(row: dict[Hashable, Any]) -> str:
@@ -165,11 +166,7 @@ def _narrowing(row: dict[Hashable, Any]) -> str:
 def _half_width(row: dict[Hashable, Any], state: str, in_percent: bool) -> str:
     if in_percent:
         return f"±{_two_digits(row[f'{state} %'])} %"
-    return f"±{_two_digits(row[f'{state} half width'])}{_unit(row['unit'])}"
-
-
-def _unit(unit: str) -> str:
-    return f" {unit}" if unit.strip("-") else ""
+    return with_unit(f"±{_two_digits(row[f'{state} half width'])}", row["unit"])
 
 
 def _two_digits(value: float) -> str:

@@ -28,7 +28,7 @@ from miho.identification.inverse_root import inverse_root
 from miho.identification.line_wrapping import wrapped
 from miho.identification.report import Report, rounding_of
 from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
-from miho.identification.uncertainty import Linearised
+from miho.identification.uncertainty import Linearised, with_rows
 from miho.models.layout import PART
 from miho.quantities import Array
 from miho.validate import whole
@@ -265,23 +265,6 @@ def _check(problem: CurveFit, at: Linearised, count: int, size: int, repeats: in
             f"{problem.name}: every row is reproduced to rounding; expected data with noise, which "
             "further rows average out"
         )
-
-
-def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
-    """The uncertainty of an optimum from derivatives J (N, d) of all rows, with `more` new ones.
-
-    Errors are independent and have the standard deviation of `at`.
-    """
-    root = inverse_root(J, np.flatnonzero(~at.at_bound))
-    covariance = at.noise**2 * root.half @ root.half.T
-    return replace(
-        at,
-        covariance=covariance,
-        sandwich=covariance,
-        freedom=at.freedom if at.events else at.freedom + more,
-        null_directions=root.null,
-        unidentifiable=np.asarray(root.moved.any(axis=0)),
-    )
 
 
 def _whitened(

@@ -14,6 +14,7 @@ from miho.identification.conclusion import Conclusion, conclusion_from
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.irreducible import irreducible_of
+from miho.identification.line_wrapping import with_unit
 from miho.identification.periodic import REMARK, searches_period
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
@@ -88,7 +89,7 @@ def conclusion_on(
         conclusion = _by_descents(problem, theta, loss, searches)
         if not in_optimum(loss, before, rounding):
             step = found_by or "a descent from the run's result"
-            lowered = f"{step} lowered the error {_step(before, loss)} {problem.unit}".rstrip()
+            lowered = with_unit(f"{step} lowered the error {_step(before, loss)}", problem.unit)
             doubt = f"{conclusion.doubt}; {lowered}" if conclusion.doubt else ""
             conclusion = Conclusion(f"{conclusion.evidence}; {lowered}", doubt, conclusion.certain)
     objections = []
@@ -142,7 +143,7 @@ def _by_descents(
 def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
     """A clause on the final errors of the search, whose result has the loss `before`."""
     search = Descents.together(searches)
-    error = f"{math.sqrt(min(search.ends, default=before)):.5g} {unit}".rstrip()
+    error = with_unit(f"{math.sqrt(min(search.ends, default=before)):.5g}", unit)
     if not search.ends:
         return f"the search had ended at an error of {error}"
     if search.finished == 1:

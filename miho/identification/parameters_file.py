@@ -12,7 +12,7 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
-from miho.identification.stated import stated_parameters
+from miho.identification.stated import stated_intervals, stated_parameters
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.identified import Identified, Value
 from miho.models.model import Model
@@ -109,16 +109,13 @@ def _whole(
     if model is problem.model:
         return model, dict(free), at.correlation
     stated, slopes = stated_parameters(problem, at)
-    values = {}
-    quantiles = at.quantiles(slopes, level)
-    for parameter, quantile in zip(stated[: len(model.parameters)], quantiles, strict=False):
-        reach = quantile * parameter.standard_error
-        ends = parameter.value - reach, parameter.value + reach
-        tied = Value(
-            parameter.value, model.parameters[parameter.name], parameter.standard_error, *ends
-        )
-        values[parameter.name] = free.get(parameter.name, tied)
-    slopes = slopes[: len(values)]
+    stated, slopes = stated[: len(model.parameters)], slopes[: len(model.parameters)]
+    ends = stated_intervals(stated, slopes, at, level).tolist()
+    values = {
+        p.name: free.get(p.name)
+        or Value(p.value, model.parameters[p.name], p.standard_error, *interval)
+        for p, interval in zip(stated, ends, strict=True)
+    }
     covariance = slopes @ at.covariance @ slopes.T
     errors = np.sqrt(np.diag(covariance))
     usable = np.where(errors > 0, errors, np.nan)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.identification.inverse_root import inverse_root
 from miho.models.symbolic import Symbol
 from miho.models.tied import Ties
 from miho.optim.space import Parameter, Space
@@ -126,13 +125,12 @@ def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
     """
     import pandas as pd
 
+    from miho.identification.uncertainty import with_rows
+
     if problem.prior is None:
         return pd.DataFrame()
     parameters, gradients = problem.prior.parameters, problem.prior.gradients(at.theta)
-    root = inverse_root(problem.error_slopes(at.theta), np.flatnonzero(~at.at_bound))
-    alone = replace(
-        at, covariance=at.noise**2 * root.half @ root.half.T, null_directions=root.null
-    ).spread(gradients)
+    alone = with_rows(at, problem.error_slopes(at.theta), 0).spread(gradients)
     errors = np.where(np.isnan(alone), np.nan, at.spread(gradients))
     mean, std = np.array([p.prior for p in parameters], dtype=float).T
     return pd.DataFrame(

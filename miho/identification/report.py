@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from miho.identification.alternatives import hull, optima_table, several_values
+from miho.identification.alternatives import hull, optima_table
 from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.conclusion import Conclusion
 from miho.identification.curve_fit import CurveFit
@@ -20,32 +20,13 @@ from miho.identification.derived import (
     derived,
     gradient,
     interval_of,
-    is_held,
 )
-from miho.identification.flags import (
-    REMEDY,
-    doubtful,
-    ended_at_bounds,
-    followed,
-    held_quantities,
-    identifiability,
-    independence,
-    maybe_zero,
-    outliers,
-    profile_shapes,
-    run_differs,
-    sigma_disagrees,
-    spread_is_uneven,
-    too_few,
-    uneven_spread,
-    wrong_signs,
-)
+from miho.identification.flags import REMEDY, spread_is_uneven
 from miho.identification.irreducible import Irreducible, irreducible_of
-from miho.identification.line_wrapping import wrapped
-from miho.identification.prior import prior_notes, prior_table
+from miho.identification.line_wrapping import with_unit
+from miho.identification.prior import prior_table
 from miho.identification.profile_likelihood import Profile
 from miho.identification.stated import (
-    at_limits,
     reported_slopes,
     reported_space,
     reported_uncertainty,
@@ -63,23 +44,8 @@ from miho.models.derived import Derived
 from miho.optim import Descents, Space, in_optimum
 from miho.quantities import Array
 
-HEDGE = (
-    "these remarks on data and model hold for this optimum, and may not hold if every search "
-    "missed a better one."
-)
-"""The starting points are the best of a screen, so all of them can miss a narrow basin."""
-BIASED = (
-    "with several optima the estimates are biased, so bootstrap intervals, which assume unbiased "
-    "estimates, may be too narrow: use the profile intervals."
-)
-"""Measured coverage: 64 to 98 % for bootstrap intervals, 96 to 100 % for profile intervals
-(`experiments.check.coverage --curvature`)."""
-SUSPICIOUS = 2.0
-"""An error is mentioned if it exceeds the upper end of the irreducible error by this factor."""
 ROUNDING = 1e-12
 """Errors below this fraction of the output are rounding, not noise."""
-KINDS = ("profile", "bootstrap", "linearised")
-"""The kinds of intervals, the best first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,14 +174,15 @@ class Report:
         return pd.DataFrame(self.reported.correlation, index=names, columns=names)
 
     @property
-    def _quantities(self) -> tuple[Derived, ...]:
+    def quantities(self) -> tuple[Derived, ...]:
+        """The derived quantities of the model, and its fixed and tied parameters."""
         return derived(self.problem.model, self.problem.dataset)
 
     @cached_property
     def derived(self) -> pd.DataFrame:
         """A row per derived quantity: value, unit, standard error and intervals."""
         rows = []
-        for quantity in self._quantities:
+        for quantity in self.quantities:
             if quantity.tied in self.space.names:  # listed among the parameters
                 continue
             value, error = delta_method(quantity, self.at)
@@ -335,25 +302,9 @@ class Report:
 
         If the optimum is in doubt, they concern the search only, not the data or the model.
         """
-        before, after = (
-            root_mean_square(self.problem.residuals(theta)) for theta in (self.run, self.at.theta)
-        )
-        run = reported_values(self.problem, self.run[None])[0]
-        gain = 1 - after / before if before else 0.0
-        sentences = run_differs(run, self.reported, self.space, gain) + self._held_quantities()
-        several = several_values(self.problem, (self.at, *self.others))
-        if several and self.replicates is not None:
-            several.append(BIASED)
-        sentences = several + sentences
-        if self.conclusion.doubt:
-            doubt = doubtful(self.conclusion.doubt, self.remedy)
-            sentences = doubt + ended_at_bounds(self.reported, self.space) + sentences
-        else:
-            remarks = self._remarks_on_data_and_model()
-            if remarks and not self.conclusion.certain:
-                remarks.append(HEDGE)
-            sentences += remarks
-        return [*sentences, *self.omitted]
+        from miho.identification.report_text import notes_of
+
+        return notes_of(self)
 
     @cached_property
     def uneven(self) -> bool:
@@ -363,38 +314,6 @@ class Report:
         """
         known = self.at.noise > rounding_of(self.problem)
         return known and spread_is_uneven(self.problem, self.reported)
-
-    def _held_quantities(self) -> list[str]:
-        """A sentence if derived quantities depend only on parameters at a bound."""
-        return held_quantities([q.name for q in self._quantities if is_held(q, self.at)])
-
-    def _remarks_on_data_and_model(self) -> list[str]:
-        at, space = self.reported, self.space
-
-        # Parameters: do the data determine them, and how well?
-        sentences = identifiability(at, space) + too_few(self.problem)
-        if self.at.noise <= rounding_of(self.problem):
-            return [*sentences, "every row is reproduced to rounding: the data have no error."]
-        sentences += maybe_zero(at, space, self.profiles, self.level)
-        ends = self.parameters[["linearised low", "linearised high"]].to_numpy()
-        sentences += profile_shapes(ends, space, self.profiles)
-        sentences += wrong_signs(self.derived, self._quantities)
-        # Errors: do the assumptions of the standard errors hold?
-        sentences += uneven_spread(at, space) if self.uneven else []
-        sentences += sigma_disagrees(self.problem, self.at)
-        sentences += prior_notes(self.priors)
-        sentences += [f"{text}." for text in at_limits(self.problem, self.at.theta)]
-        sentences += independence(self.problem, at)
-        sentences += outliers(self.problem, self.at)
-        # Model: are its errors larger than the noise, or do they follow a column?
-        sentences += self.problem.model.remarks(self.at.theta, self.at.noise, *self.problem.inputs)
-        error, irreducible = self.error, self.irreducible
-        if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < error:
-            sentences.append(
-                f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
-                "units, signs, ranges and the model."
-            )
-        return sentences + followed(self.problem, self.trends)
 
     def _percentiles(self, replicates: Array, gradients: Array) -> Array:
         """Interval ends (q, 2) from replicates (n, q) of quantities with gradients (q, d)."""
@@ -417,52 +336,18 @@ class Report:
             In the unit of the output. The interval has the level of the report and is an interval
             of the curve, not of new measurements.
         """
-        model = self.problem.model
-        return (
-            model.predict(self.at.theta[None], *inputs)[0],
-            self.at.reach(model.jacobian(self.at.theta, *inputs), self.level),
-        )
+        return self.at.band(self.problem.model, self.level, *inputs)
 
     def __repr__(self) -> str:
         """One line with problem, parameters and error."""
-        error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
+        error = with_unit(f"error {self.error:.5g}", self.problem.unit)
         return f"<Report of {self.problem.name}: {', '.join(self.space.names)}; {error}>"
 
     def __str__(self) -> str:
         """The parameters with their best intervals, the error, and the remarks."""
-        kind = next(kind for kind in KINDS if f"{kind} low" in self.parameters)
-        columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
-        formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
-        if self.uneven and not self.conclusion.doubt:
-            columns += ["sandwich", "sandwich low", "sandwich high"]
-        parts = [_printed(self.parameters[columns], formatters)]
-        quantities = self._derived_with_best_intervals()
-        if len(quantities):
-            parts.append(_printed(quantities, dict.fromkeys(("low", "high"), _end)))
-        error = f"error: {self.error:.5g} {self.problem.unit}".rstrip()
-        weights = "" if self.problem.weights is None else ", weighted by sigma"
-        lines = [
-            f"{error} (root mean square of {len(self.problem.dataset):,} rows{weights}); "
-            f"intervals of {100 * self.level:g} %"
-        ]
-        if not self.conclusion.doubt:  # a doubt is the first note
-            lines += self.conclusion.statement.replace(". ", ".\n").split("\n")
-        lines += [f"- {note}" for note in self.notes]
-        return "\n\n".join([*parts, "\n".join(map(wrapped, lines))])
+        from miho.identification.report_text import text_of
 
-    def _derived_with_best_intervals(self) -> pd.DataFrame:
-        """The derived quantities that have a value, each with the best of its intervals."""
-        rows = []
-        for row in self.derived.to_dict("records"):
-            if math.isnan(row["value"]):
-                continue
-            known = [kind for kind in KINDS if not math.isnan(row.get(f"{kind} low", math.nan))]
-            kind = known[0] if known else KINDS[-1]
-            kept = {key: row[key] for key in ("quantity", "value", "unit", "standard error")}
-            rows.append(
-                {**kept, "low": row[f"{kind} low"], "high": row[f"{kind} high"], "interval": kind}
-            )
-        return pd.DataFrame(rows)
+        return text_of(self)
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
@@ -479,16 +364,6 @@ class Report:
             "descents": self.descents,
         }
         return {name: table for name, table in tables.items() if len(table)}
-
-
-def _printed(table: pd.DataFrame, formatters: Mapping[str, Callable[[float], str]]) -> str:
-    """The text of a table with five digits."""
-    return table.to_string(index=False, float_format="%.5g", formatters=dict(formatters))
-
-
-def _end(value: float) -> str:
-    """The text of a profile end; "open" if the profile reached the bound without an end."""
-    return "open" if math.isinf(value) else f"{value:.5g}"
 
 
 def rounding_of(problem: CurveFit) -> float:

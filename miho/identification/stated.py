@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.line_wrapping import with_unit
 from miho.identification.uncertainty import Linearised, at_bounds, parameters_at_bounds
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -128,6 +129,15 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     return stated, np.vstack([rows, slopes[chosen]])
 
 
+def stated_intervals(
+    stated: Sequence[Stated], slopes: Array, at: Linearised, level: float
+) -> Array:
+    """Linearised intervals (d, 2) of stated parameters with derivatives (d, f)."""
+    values, errors = np.array([(p.value, p.standard_error) for p in stated]).reshape(-1, 2).T
+    reach = at.quantiles(slopes, level) * errors
+    return np.stack([values - reach, values + reach], axis=1)
+
+
 def _status(at: Linearised, space: Space) -> dict[str, str]:
     """The state of each parameter of a space: FREE, at a bound, or not identifiable."""
     status = dict.fromkeys(space.names, FREE)
@@ -159,8 +169,8 @@ def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
         errors = {parameter.name: parameter.standard_error for parameter in stated}
     whole = whole_values(problem, theta)
     return [
-        f"{' '.join(filter(None, [f'{name} = {whole[name]:.5g}', units[name]]))} "
-        f"({bounds.get(name, '± not determined')})"
+        with_unit(f"{name} = {whole[name]:.5g}", units[name])
+        + f" ({bounds.get(name, '± not determined')})"
         for name, error in errors.items()
         if name in bounds or not np.isfinite(error)
     ]

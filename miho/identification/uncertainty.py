@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import Dependence, dependent, events_of, series_of
 from miho.identification.inverse_root import INVOLVED, inverse_root
+from miho.identification.line_wrapping import with_unit
+from miho.models.model import Model
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -169,6 +171,11 @@ class Linearised:
         """Half widths (n,) of the intervals of quantities with gradients (n, d)."""
         return self.quantiles(gradients, level) * self.spread(gradients)
 
+    def band(self, model: Model, level: float, *inputs: Array) -> tuple[Array, Array]:
+        """Prediction of a model at input columns (N,), and the half width of its interval."""
+        value = model.predict(self.theta[None], *inputs)[0]
+        return value, self.reach(model.jacobian(self.theta, *inputs), level)
+
     def spread(self, gradients: Array) -> Array:
         """Standard errors (n,) of quantities with gradients (n, d) with respect to the parameters.
 
@@ -250,6 +257,23 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     return dependent(at, psi / stiffness, root.basis, root.half, series_of(problem))
 
 
+def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
+    """The uncertainty of an optimum from derivatives J (N, d) of all rows, with `more` new ones.
+
+    Errors are independent and have the standard deviation of `at`.
+    """
+    root = inverse_root(J, np.flatnonzero(~at.at_bound))
+    covariance = at.noise**2 * root.half @ root.half.T
+    return replace(
+        at,
+        covariance=covariance,
+        sandwich=covariance,
+        freedom=at.freedom if at.events else at.freedom + more,
+        null_directions=root.null,
+        unidentifiable=np.asarray(root.moved.any(axis=0)),
+    )
+
+
 def _errors_and_slopes(problem: CurveFit, theta: Array) -> tuple[Array, Array]:
     """Errors (m,) and their derivatives (m, d), with priors after the rows of the data."""
     errors, J = problem.errors(theta), problem.error_slopes(theta)
@@ -311,7 +335,7 @@ def parameters_at_bounds(at: Linearised, space: Space) -> list[tuple[str, str, s
     for i in np.flatnonzero(at.at_bound):
         p = space.parameters[i]
         low = at.theta[i] - p.low < p.high - at.theta[i]
-        value = f"{p.low if low else p.high:g} {p.unit}".rstrip()
+        value = with_unit(f"{p.low if low else p.high:g}", p.unit)
         parameters.append((p.name, "lower" if low else "upper", value))
     return parameters
 

@@ -199,7 +199,7 @@ def test_bounds_zero_and_blind_directions_are_told() -> None:
     x = np.linspace(0, 1, 50)
     noise = 0.1 * np.cos(37 * np.arange(50))
     bounded = make_report(line(1 + 2 * x + noise, x, b=(-1, 1.5)), np.array([1.2, 1.5]))
-    assert any("b is at its upper bound 1.5 -" in note for note in bounded.notes)
+    assert any("b is at its upper bound 1.5: widen" in note for note in bounded.notes)
     flat = make_report(line(1 + noise, x), np.array([1.0, 0.0]))
     assert any(note.startswith("b does not differ significantly from 0") for note in flat.notes)
     blind = make_report(line(1 + noise, np.full(50, 2.0)), np.array([1.0, 0.0]))

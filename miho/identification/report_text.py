@@ -1,0 +1,137 @@
+"""The text of a report: its best intervals, the statement on the optimum, and remarks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from miho.identification import flags
+from miho.identification.alternatives import several_values
+from miho.identification.derived import is_held
+from miho.identification.line_wrapping import with_unit, wrapped
+from miho.identification.parameters_file import KINDS, interval_kind
+from miho.identification.prior import prior_notes
+from miho.identification.report import rounding_of
+from miho.identification.stated import at_limits, reported_values
+from miho.identification.validation import root_mean_square
+
+if TYPE_CHECKING:
+    from miho.identification.report import Report
+
+HEDGE = (
+    "these remarks on data and model hold for this optimum, and may not hold if every search "
+    "missed a better one."
+)
+"""The starting points are the best of a screen, so all of them can miss a narrow basin."""
+BIASED = (
+    "with several optima the estimates are biased, so bootstrap intervals, which assume unbiased "
+    "estimates, may be too narrow: use the profile intervals."
+)
+"""Measured coverage: 64 to 98 % for bootstrap intervals, 96 to 100 % for profile intervals
+(`experiments.check.coverage --curvature`)."""
+SUSPICIOUS = 2.0
+"""An error is mentioned if it exceeds the upper end of the irreducible error by this factor."""
+
+
+def text_of(report: Report) -> str:
+    """The parameters with their best intervals, the error, and the remarks."""
+    problem, kind = report.problem, interval_kind(report.parameters)
+    columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
+    formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
+    if report.uneven and not report.conclusion.doubt:
+        columns += ["sandwich", "sandwich low", "sandwich high"]
+    parts = [_printed(report.parameters[columns], formatters)]
+    quantities = _with_best_intervals(report.derived)
+    if len(quantities):
+        parts.append(_printed(quantities, dict.fromkeys(("low", "high"), _end)))
+    error = with_unit(f"error: {report.error:.5g}", problem.unit)
+    weights = "" if problem.weights is None else ", weighted by sigma"
+    lines = [
+        f"{error} (root mean square of {len(problem.dataset):,} rows{weights}); intervals of "
+        f"{100 * report.level:g} %"
+    ]
+    if not report.conclusion.doubt:  # a doubt is the first note
+        lines += report.conclusion.statement.replace(". ", ".\n").split("\n")
+    lines += [f"- {note}" for note in report.notes]
+    return "\n\n".join([*parts, "\n".join(map(wrapped, lines))])
+
+
+def _with_best_intervals(derived: pd.DataFrame) -> pd.DataFrame:
+    """The derived quantities that have a value, each with the best of its intervals."""
+    rows = []
+    for row in derived.to_dict("records"):
+        if math.isnan(row["value"]):
+            continue
+        known = [kind for kind in KINDS if not math.isnan(row.get(f"{kind} low", math.nan))]
+        kind = known[0] if known else KINDS[-1]
+        kept = {key: row[key] for key in ("quantity", "value", "unit", "standard error")}
+        rows.append(
+            {**kept, "low": row[f"{kind} low"], "high": row[f"{kind} high"], "interval": kind}
+        )
+    return pd.DataFrame(rows)
+
+
+def _printed(table: pd.DataFrame, formatters: Mapping[str, Callable[[float], str]]) -> str:
+    """The text of a table with five digits."""
+    return table.to_string(index=False, float_format="%.5g", formatters=dict(formatters))
+
+
+def _end(value: float) -> str:
+    """The text of a profile end; "open" if the profile reached the bound without an end."""
+    return "open" if math.isinf(value) else f"{value:.5g}"
+
+
+def notes_of(report: Report) -> list[str]:
+    """Remarks on the search; and, if the optimum is not in doubt, on the data and the model."""
+    problem, at, conclusion = report.problem, report.at, report.conclusion
+    before, after = (root_mean_square(problem.residuals(theta)) for theta in (report.run, at.theta))
+    run = reported_values(problem, report.run[None])[0]
+    gain = 1 - after / before if before else 0.0
+    held = [quantity.name for quantity in report.quantities if is_held(quantity, at)]
+    sentences = flags.run_differs(run, report.reported, report.space, gain)
+    sentences += flags.held_quantities(held)
+    several = several_values(problem, (at, *report.others))
+    if several and report.replicates is not None:
+        several.append(BIASED)
+    sentences = several + sentences
+    if conclusion.doubt:
+        doubt = flags.doubtful(conclusion.doubt, report.remedy)
+        sentences = doubt + flags.ended_at_bounds(report.reported, report.space) + sentences
+    else:
+        remarks = _on_data_and_model(report)
+        if remarks and not conclusion.certain:
+            remarks.append(HEDGE)
+        sentences += remarks
+    return [*sentences, *report.omitted]
+
+
+def _on_data_and_model(report: Report) -> list[str]:
+    problem, at, space = report.problem, report.reported, report.space
+
+    # Parameters: do the data determine them, and how well?
+    sentences = flags.identifiability(at, space) + flags.too_few(problem)
+    if report.at.noise <= rounding_of(problem):
+        return [*sentences, "every row is reproduced to rounding: the data have no error."]
+    sentences += flags.maybe_zero(at, space, report.profiles, report.level)
+    ends = report.parameters[["linearised low", "linearised high"]].to_numpy()
+    sentences += flags.profile_shapes(ends, space, report.profiles)
+    sentences += flags.wrong_signs(report.derived, report.quantities)
+    # Errors: do the assumptions of the standard errors hold?
+    sentences += flags.uneven_spread(at, space) if report.uneven else []
+    sentences += flags.sigma_disagrees(problem, report.at)
+    sentences += prior_notes(report.priors)
+    sentences += [f"{text}." for text in at_limits(problem, report.at.theta)]
+    sentences += flags.independence(problem, at)
+    sentences += flags.outliers(problem, report.at)
+    # Model: are its errors larger than the noise, or do they follow a column?
+    sentences += problem.model.remarks(report.at.theta, report.at.noise, *problem.inputs)
+    irreducible = report.irreducible
+    if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < report.error:
+        sentences.append(
+            f"the error is {report.error / irreducible.value:.1f} times the irreducible error: "
+            "check units, signs, ranges and the model."
+        )
+    return sentences + flags.followed(problem, report.trends)
