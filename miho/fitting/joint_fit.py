@@ -79,23 +79,8 @@ def fit_joint(
     local : collection of str, optional
         Parameters with a separate value in each part. The value of parameter NAME in part PART has
         the name NAME_PART, and its bounds are the bounds of NAME unless NAME_PART has bounds.
-    missing : {"raise", "drop"}, optional
-        Treatment of rows with a missing number.
-    fixed : mapping of str to float, optional
-        Parameters that are fixed to numbers.
-    tied : mapping of str to str, optional
-        Parameters that are tied to expressions of other parameters.
-    constraints : str or sequence of str, optional
-        Linear constraints, for example "a < b".
-    method : Optimizer or str, optional
-        The search method, `MIHOGN()` by default.
-    budget : Budget, optional
-        Limit on evaluations or seconds.
-    seed : int, optional
-        Seed of the search.
-    compiled : bool, optional
-        Whether to compile the search of parts that are all the same expression; by default from
-        20,000 rows.
+    missing, fixed, tied, constraints, method, budget, seed, compiled : optional
+        As in `miho.fit`.
     workers, evaluation_limit, journal : optional
         As in `miho.fit`.
 

@@ -75,14 +75,8 @@ def fit_many(
         Column of `x` with one value for each dataset.
     start : mapping of str to float or array_like of shape (M,), optional
         A value for each free parameter, for all datasets or for each.
-    fixed : mapping of str to float, optional
-        Parameters that are fixed to numbers.
-    tied : mapping of str to str, optional
-        Parameters that are tied to expressions of other parameters.
-    constraints : str or sequence of str, optional
-        Linear constraints, for example "a < b".
-    seed : int, optional
-        Seed of the searches.
+    fixed, tied, constraints, seed : optional
+        As in `miho.fit`.
 
     Returns
     -------

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 import scipy  # loads its subpackages at first use: importing them takes a second
 from numpy.typing import NDArray
 
@@ -19,6 +18,8 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from miho.identification.dependence import Dependence
     from miho.identification.profile_likelihood import Profile
     from miho.identification.uncertainty import Linearised

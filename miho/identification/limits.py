@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
@@ -76,26 +76,14 @@ def along_limits(
     low[list(fixed)] = high[list(fixed)] = theta[list(fixed)]
     width = np.where(high > low, high - low, 1.0)
 
-    def scaled(u: Array) -> tuple[float, Array]:
-        at = low + u * width
-        return cost.value(at) / start, cost.gradient(at) * width / start
-
     limits = {
         "type": "ineq",
         "fun": lambda u: sides.slack(low + u * width) - MARGIN,
         "jac": lambda u: sides.slopes(low + u * width) * width,
     }
-    solution = scipy.optimize.minimize(  # type: ignore[call-overload]
-        scaled,
-        (theta - low) / width,
-        jac=True,
-        method="SLSQP",
-        bounds=list(zip(np.zeros(low.size), (high - low) / width, strict=True)),
-        constraints=limits,
-        options={"maxiter": STEPS, "ftol": 1e-14},
-    )
+    u = cost.lowest(theta, start, low, width, (high - low) / width, limits)
     # At curved limits it may end slightly beyond them.
-    end = np.clip(low + solution.x * width, low, high)
+    end = np.clip(low + u * width, low, high)
     for _ in range(CORRECTIONS):
         beyond = sides.slack(end) < 0
         if not beyond.any():
@@ -134,23 +122,12 @@ def along_sides(problem: CurveFit, theta: Array) -> Array:
     sides[:, places] = radial.sides * width[places] / radial.width
     beyond = 1 - MARGIN + radial.sides @ ((radial.centre - low[places]) / radial.width)
 
-    def scaled(u: Array) -> tuple[float, Array]:
-        at = low + u * width
-        return cost.value(at) / start, cost.gradient(at) * width / start
-
     if not 0 < start < np.inf:
         return theta
-    solution = scipy.optimize.minimize(  # type: ignore[call-overload]
-        scaled,
-        (first - low) / width,
-        jac=True,
-        method="SLSQP",
-        bounds=[(0.0, 1.0)] * theta.size,
-        constraints={"type": "ineq", "fun": lambda u: beyond - sides @ u, "jac": lambda u: -sides},
-        options={"maxiter": STEPS, "ftol": 1e-14},
-    )
-    end = space.clip(low + solution.x * width)
-    if not (sides @ solution.x <= beyond + MARGIN).all() or not cost.value(end) < start:
+    limits = {"type": "ineq", "fun": lambda u: beyond - sides @ u, "jac": lambda u: -sides}
+    u = cost.lowest(first, start, low, width, np.ones(theta.size), limits)
+    end = space.clip(low + u * width)
+    if not (sides @ u <= beyond + MARGIN).all() or not cost.value(end) < start:
         return theta
     end[places] = radial.shares(end[places])
     return end
@@ -174,6 +151,25 @@ class _Cost:
         if self._pin is not None:
             slope += 2 * self._pin.residual(theta) * self._pin.slope(theta)
         return np.asarray(slope)
+
+    def lowest(
+        self, theta: Array, start: float, low: Array, width: Array, ends: Array, limits: Any
+    ) -> Array:
+        """Shares (d,) of the box, up to `ends`, with the lowest sum within the limits.
+
+        The descent begins at `theta` (d,), and `start` is the sum there.
+        """
+
+        def scaled(u: Array) -> tuple[float, Array]:
+            at = low + u * width
+            return self.value(at) / start, self.gradient(at) * width / start
+
+        solution = scipy.optimize.minimize(
+            scaled, (theta - low) / width, jac=True, method="SLSQP", constraints=limits,
+            bounds=list(zip(np.zeros(low.size), ends, strict=True)),
+            options={"maxiter": STEPS, "ftol": 1e-14},
+        )  # fmt: skip
+        return np.asarray(solution.x)
 
 
 class _Sides:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.identification.closed_form import linear_optimum
 from miho.identification.conclusion import Conclusion, conclusion_from
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
@@ -19,6 +18,7 @@ from miho.identification.periodic import REMARK, searches_period
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
 from miho.optim.evidence import is_rounding
+from miho.optim.linear_part import solve_linear_part
 from miho.optim.zero import is_zero
 from miho.quantities import Array
 
@@ -28,6 +28,33 @@ PROFILE, BOOTSTRAP, CHECK = "a profile", "the bootstrap", "a check"
 """The steps after a search that may find a better optimum."""
 TRIALS = 10
 """Number of trial configurations for a parameter without an effect."""
+
+
+def linear_optimum(problem: CurveFit) -> tuple[Array, float] | None:
+    """Solve a problem that is linear in all its parameters.
+
+    Ordinary least squares gives the optimum, or bounded-variable least squares if the box does not
+    contain it.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+
+    Returns
+    -------
+    tuple of (ndarray of shape (d,), float), or None
+        The global optimum in the box, in the units of the parameters, and its loss, in the squared
+        unit of the output. None if the problem is not linear in all its parameters.
+    """
+    space = problem.space
+    if set(problem.linear) != set(space.names):
+        return None
+    start = (space.low + space.high) / 2
+    optimum = solve_linear_part(problem.residuals, start, range(len(space)), space)
+    if optimum is None:
+        return None
+    return optimum.theta, float(problem.loss(optimum.theta[None])[0])
 
 
 def conclusion_on(

@@ -96,11 +96,7 @@ def refit(
     objective = _Objective(problem, start, weights, fixed, deadline, pin)
     start_values = objective.residuals(objective.first)
     if not math.isfinite(objective.costs[-1]):  # beyond a limit, or the model fails
-        theta = objective.best
-        if weights is None and problem.model.ties is not None:
-            from miho.identification.limits import along_limits
-
-            theta = along_limits(problem, theta, fixed, pin)
+        theta = objective.along_limits(objective.best)
         if theta is objective.best:
             return Refit(theta, math.inf, converged=False)
         return Refit(theta, objective.cost(theta))
@@ -117,19 +113,12 @@ def refit(
     try:
         start_slopes = objective.jacobian(objective.first)
         if at_optimum(start_slopes, start_values, objective.first):
-            return _limited(problem, objective, weights, fixed, pin, True)
+            return objective.end(converged=True)
         with np.errstate(all="ignore"):  # SciPy divides by 0 for a parameter without an effect
             solution = scipy.optimize.least_squares(
-                residuals,
-                objective.first,
-                jac=jacobian,
-                bounds=(0.0, 1.0),
-                x_scale="jac",
-                ftol=tolerance,
-                xtol=tolerance,
-                gtol=None,
-                max_nfev=evaluations,
-            )
+                residuals, objective.first, jac=jacobian, bounds=(0.0, 1.0), x_scale="jac",
+                ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=evaluations,
+            )  # fmt: skip
         # SciPy continues along directions that the data do not determine, and gains nothing.
         costs = objective.costs
         halfway = costs[(len(costs) + 1) // 2]
@@ -138,7 +127,7 @@ def refit(
         converged = True
     except (_NoDerivatives, OutOfTimeError):
         converged = False
-    return _limited(problem, objective, weights, fixed, pin, bool(converged))
+    return objective.end(bool(converged))
 
 
 def at_optimum(J: Array, r: Array, part: Array) -> bool:
@@ -155,27 +144,6 @@ def at_optimum(J: Array, r: Array, part: Array) -> bool:
             return False
     R = np.asarray(np.linalg.qr(columns, mode="r"))
     return bool(np.sum(R[:-1, -1] ** 2) <= AT_OPTIMUM)  # of which the last column has norm 1
-
-
-def _limited(
-    problem: CurveFit,
-    objective: _Objective,
-    weights: Array | None,
-    fixed: Collection[int],
-    pin: Pin | None,
-    converged: bool,
-) -> Refit:
-    """The end of the descent, moved along the limits of tied parameters."""
-    costs = objective.costs
-    end = Refit(objective.best, costs[-1], converged, len(costs) - 1)
-    if weights is None and problem.model.ties is not None:
-        from miho.identification.limits import along_limits, along_sides
-
-        theta = along_limits(problem, end.theta, fixed, pin)
-        theta = theta if fixed or pin else along_sides(problem, theta)
-        if theta is not end.theta:
-            end = Refit(theta, objective.cost(theta), True, end.evaluations)
-    return end
 
 
 class _Objective:
@@ -197,6 +165,7 @@ class _Objective:
     ) -> None:
         space = problem.space
         self._problem, self._deadline, self._pin = problem, deadline, pin
+        self._limited = weights is None and problem.model.ties is not None
         self._low, self._high = space.bounds
         self._start = self.best = space.clip(start)
         self._fixed = list(fixed)
@@ -213,6 +182,26 @@ class _Objective:
     def is_first(self, part: Array) -> bool:
         """Whether `part` (f,) is the start."""
         return np.array_equal(part, self.first)
+
+    def end(self, converged: bool) -> Refit:
+        """The best point so far, moved along the limits of tied parameters."""
+        end = Refit(self.best, self.costs[-1], converged, len(self.costs) - 1)
+        theta = self.along_limits(end.theta)
+        if self._limited and not (self._fixed or self._pin):
+            from miho.identification.limits import along_sides
+
+            theta = along_sides(self._problem, theta)
+        if theta is end.theta:
+            return end
+        return Refit(theta, self.cost(theta), True, end.evaluations)
+
+    def along_limits(self, theta: Array) -> Array:
+        """A better point (d,) along limits of tied parameters; `theta` if there is none."""
+        if not self._limited:
+            return theta
+        from miho.identification.limits import along_limits
+
+        return along_limits(self._problem, theta, self._fixed, self._pin)
 
     def cost(self, theta: Array) -> float:
         """The sum of squares without weights, including a pin."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from miho.identification.alternatives import minima_at
 from miho.identification.bootstrap import replicated
-from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline, seconds_of_refit
 from miho.identification.flags import REMEDY
-from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, conclusion_on
+from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, conclusion_on, linear_optimum
 from miho.identification.profile_likelihood import (
     SIGNS,
     Profile,
@@ -135,26 +135,26 @@ def make_report(
     # The optimum comes first, because every other result describes it.
     deadline = Deadline(time.perf_counter() + seconds)
     progress("optimum")
-    descent = _optimum(problem, run if optimum is None else optimum, deadline)
-    if optimum is not None and deadline.over and not descent.converged:
-        # Without time for a new descent, the state of the earlier one counts.
-        descent = descent._replace(converged=not moving, evaluations=moving)
-    best = _Best(descent, found_by)
-    if better is not None:
-        best = best.or_better(problem, _optimum(problem, better, deadline), CHECK)
-    searches = tuple(search for search in (descents, check) if search is not None)
-    minima = [*minima, *(minimum for search in searches for minimum in search.minima)]
     with open_pool(workers) as pool:
-        work = _Work(deadline, progress, pool, _omission(seconds))
+        steps = _Steps(problem, level, profiles, deadline, progress, pool, seconds)
+        descent = steps.optimum(run if optimum is None else optimum)
+        if optimum is not None and deadline.over and not descent.converged:
+            # Without time for a new descent, the state of the earlier one counts.
+            descent = descent._replace(converged=not moving, evaluations=moving)
+        best = _Best(descent, found_by)
+        if better is not None:
+            best = steps.better_of(best, steps.optimum(better), CHECK)
+        searches = tuple(search for search in (descents, check) if search is not None)
+        minima = [*minima, *(minimum for search in searches for minimum in search.minima)]
         while True:
-            best, optima, curves, omitted = _profiled(problem, best, minima, level, profiles, work)
+            best, optima, curves, omitted = steps.profiled(best, minima)
             at = optima[0]
             # Fits without some rows, and the bootstrap, use the time that is left.
-            left_out, unfinished = _left_out(problem, at, work)
+            left_out, unfinished = steps.left_out(at)
             estimates = None
             if replicates:
                 estimates = replicated(problem, optima, replicates, seed, progress, pool)
-            earlier, best = best, _best_of_replicates(problem, best, estimates, deadline)
+            earlier, best = best, steps.best_of_replicates(best, estimates)
             if best is earlier:
                 break
             minima += minima_at(problem, optima)
@@ -190,194 +190,175 @@ def make_report(
     )
 
 
-@dataclass(frozen=True)
-class _Best:
+class _Best(NamedTuple):
     """The best optimum so far, and the step that found it if the search did not."""
 
     descent: Refit
     found_by: str = ""
 
-    def or_better(self, problem: CurveFit, other: Refit, found_by: str) -> _Best:
-        """The better of the two; `self` if both are the same optimum."""
-        rounding = problem.resolution * problem.residual_count
-        same = in_optimum(other.cost, self.descent.cost, rounding)
-        return self if same else _Best(other, found_by)
-
 
 @dataclass(frozen=True)
-class _Work:
-    """The deadline, the progress callback, the pool and the remark on missing results."""
+class _Steps:
+    """The steps of a report on a problem: its optimum, uncertainties, profiles and validation.
 
+    `requested` says whether profiles were requested; `seconds` is the time until the deadline.
+    """
+
+    problem: CurveFit
+    level: float
+    requested: bool | None
     deadline: Deadline
     progress: Callable[[str], object]
     pool: Pool | None
-    too_late: str
+    seconds: float
 
+    def optimum(self, start: Array) -> Refit:
+        """The optimum near `start` (d,), or the point that the descent reached in time.
 
-def _profiled(
-    problem: CurveFit,
-    best: _Best,
-    minima: Sequence[Minimum],
-    level: float,
-    requested: bool | None,
-    work: _Work,
-) -> tuple[_Best, tuple[Linearised, ...], dict[str, Profile], list[str]]:
-    """The best optimum, the uncertainties of all optima within the noise, profiles, and remarks.
-
-    If a refit of a profile finds a better optimum, everything is computed again from there.
-    """
-    while True:
-        within = optima_within_noise(problem, best.descent, minima, level, work.deadline)
-        optima = tuple(_uncertainty(problem, fit.theta) for fit in within)
-        best = replace(best, descent=within[0])
-        curves, omitted = _profiles(problem, optima, level, requested, work)
-        refits = (curve.best for curve in curves.values())
-        lowest = min(refits, key=lambda fit: fit.cost, default=best.descent)
-        if best.or_better(problem, lowest, PROFILE) is best:
-            return best, optima, curves, omitted
-        work.progress("better optimum")
-        minima = [*minima_at(problem, optima), *minima]
-        best = _Best(_optimum(problem, lowest.theta, work.deadline), PROFILE)
-
-
-def _best_of_replicates(
-    problem: CurveFit, best: _Best, estimates: Array | None, deadline: Deadline
-) -> _Best:
-    """The best optimum so far, or a better one near the best of the replicates (n, d).
-
-    A replicate is the optimum of resampled data and may lie in a lower basin of the data.
-    """
-    if estimates is None:
-        return best
-    losses = np.nan_to_num(problem.loss(estimates), nan=np.inf)
-    if best.descent.cost <= losses.min() * problem.residual_count:
-        return best
-    lowest = _optimum(problem, estimates[np.argmin(losses)], deadline)
-    return best.or_better(problem, lowest, BOOTSTRAP)
-
-
-def _left_out(problem: CurveFit, at: Linearised, work: _Work) -> tuple[pd.DataFrame, list[str]]:
-    """Errors on groups of rows, each from a fit without the group, and remarks on missing ones."""
-    tables: list[pd.DataFrame] = []
-    omitted: list[str] = []
-    held = np.flatnonzero(at.unidentifiable).tolist()
-    for condition in conditions(problem):
-        work.progress(f"leave one {condition} out")
-        try:
-            tables.append(
-                leave_one_out(problem, at.theta, condition, held, work.deadline, work.pool)
-            )
-        except OutOfTimeError:
-            return _stacked(tables), [*omitted, f"errors with {condition} {work.too_late}"]
-        except WorkerLostError as error:
-            omitted.append(f"errors with {condition} {_lost(error)}")
-    return _stacked(tables), omitted
-
-
-def _stacked(tables: list[pd.DataFrame]) -> pd.DataFrame:
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
-
-
-def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
-    """The uncertainty of an optimum (d,), allowing for correlated neighbouring rows.
-
-    Rounding errors may be correlated too, so the correlation is ignored if all errors are rounding.
-    """
-    neighbours = root_mean_square(problem.errors(theta)) > rounding_of(problem)
-    return linearised(problem, theta, neighbours)
-
-
-def _profiles(
-    problem: CurveFit,
-    optima: Sequence[Linearised],
-    level: float,
-    requested: bool | None,
-    work: _Work,
-) -> tuple[dict[str, Profile], list[str]]:
-    """The profiles by parameter, and remarks on missing ones.
-
-    Parameters that are at a bound or unidentifiable at all optima have no profile. There are no
-    profiles for data in events, or if the errors are rounding.
-    """
-    curves: dict[str, Profile] = {}
-    at, *others = optima
-    by_default = len(problem.space) <= MOST_PROFILES
-    if at.events or at.noise <= rounding_of(problem):
-        return curves, []
-    possible: dict[str, int | str] = {}
-    for optimum in optima:
-        possible |= profiled_parameters(problem, optimum)
-    names = list(possible) if (by_default if requested is None else requested) else []
-    limit = None if requested else work.deadline
-    if work.pool is not None:
-        return _profiles_by_workers(
-            problem, optima, level, {n: possible[n] for n in names}, limit, work
+        Parameters without an effect at the start are fixed, so they keep the value of the run.
+        """
+        problem = self.problem
+        derivatives = problem.jacobian(problem.space.clip(start))
+        ineffective = np.flatnonzero(~derivatives.any(axis=0)).tolist()
+        return refit(
+            problem, start, fixed=ineffective, evaluations=EVALUATIONS, deadline=self.deadline
         )
-    for done, name in enumerate(names):
-        work.progress(f"profile of {name}")
-        try:
-            curves[name] = likelihood_profile(problem, at, possible[name], level, limit, others)
-        except OutOfTimeError:
-            late = ", ".join(names[done:])
-            return curves, [f"profile intervals of {late} {work.too_late}"]
-    return curves, []
 
+    def better_of(self, best: _Best, other: Refit, found_by: str) -> _Best:
+        """The better of the two; `best` if both are the same optimum."""
+        rounding = self.problem.resolution * self.problem.residual_count
+        same = in_optimum(other.cost, best.descent.cost, rounding)
+        return best if same else _Best(other, found_by)
 
-def _profiles_by_workers(
-    problem: CurveFit,
-    optima: Sequence[Linearised],
-    level: float,
-    parameters: Mapping[str, int | str],
-    limit: Deadline | None,
-    work: _Work,
-) -> tuple[dict[str, Profile], list[str]]:
-    """The result of `_profiles` from workers; each side of each profile is one task."""
-    check = (lambda: None) if limit is None else limit.check
-    at, *others = optima
-    sides = in_blocks(
-        work.pool,
-        ProfileSide(problem, at, level, limit, others),
-        [(of, sign) for of in parameters.values() for sign in SIGNS],
-        REFITS * seconds_of_refit(problem, at.theta),
-        check,
-    )
-    curves: dict[str, Profile] = {}
-    late: list[str] = []
-    omitted: list[str] = []
-    for name in parameters:
-        work.progress(f"profile of {name}")
-        try:
-            lower, upper = (next(sides, None) for _ in SIGNS)
-        except OutOfTimeError:  # which ends `sides`
-            lower = upper = None
-        lost = next((side for side in (lower, upper) if isinstance(side, WorkerLostError)), None)
-        if lost is not None:
-            omitted.append(f"profile intervals of {name} {_lost(lost)}")
-        elif lower is None or upper is None:
-            late.append(name)
-        else:
-            curves[name] = joined(lower, upper)
-    if late:
-        omitted.append(f"profile intervals of {', '.join(late)} {work.too_late}")
-    return curves, omitted
+    def profiled(
+        self, best: _Best, minima: Sequence[Minimum]
+    ) -> tuple[_Best, tuple[Linearised, ...], dict[str, Profile], list[str]]:
+        """The best optimum, uncertainties of all optima within the noise, profiles, and remarks.
 
+        If a refit of a profile finds a better optimum, everything is computed again from there.
+        """
+        problem = self.problem
+        while True:
+            within = optima_within_noise(problem, best.descent, minima, self.level, self.deadline)
+            optima = tuple(self.uncertainty(fit.theta) for fit in within)
+            best = best._replace(descent=within[0])
+            curves, omitted = self.profiles(optima)
+            refits = (curve.best for curve in curves.values())
+            lowest = min(refits, key=lambda fit: fit.cost, default=best.descent)
+            if self.better_of(best, lowest, PROFILE) is best:
+                return best, optima, curves, omitted
+            self.progress("better optimum")
+            minima = [*minima_at(problem, optima), *minima]
+            best = _Best(self.optimum(lowest.theta), PROFILE)
 
-def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:
-    """The optimum near `start` (d,), or the point that the descent reached before the deadline.
+    def best_of_replicates(self, best: _Best, estimates: Array | None) -> _Best:
+        """The best optimum so far, or a better one near the best of the replicates (n, d).
 
-    Parameters without an effect at the start are fixed, so they keep the value of the run.
-    """
-    derivatives = problem.jacobian(problem.space.clip(start))
-    ineffective = np.flatnonzero(~derivatives.any(axis=0)).tolist()
-    return refit(problem, start, fixed=ineffective, evaluations=EVALUATIONS, deadline=deadline)
+        A replicate is the optimum of resampled data and may lie in a lower basin of the data.
+        """
+        if estimates is None:
+            return best
+        losses = np.nan_to_num(self.problem.loss(estimates), nan=np.inf)
+        if best.descent.cost <= losses.min() * self.problem.residual_count:
+            return best
+        return self.better_of(best, self.optimum(estimates[np.argmin(losses)]), BOOTSTRAP)
 
+    def left_out(self, at: Linearised) -> tuple[pd.DataFrame, list[str]]:
+        """Errors on groups of rows, each from a fit without the group, and remarks."""
+        tables, omitted = [pd.DataFrame()], list[str]()
+        held = np.flatnonzero(at.unidentifiable).tolist()
+        for name in conditions(self.problem):
+            self.progress(f"leave one {name} out")
+            try:
+                tables.append(
+                    leave_one_out(self.problem, at.theta, name, held, self.deadline, self.pool)
+                )
+            except OutOfTimeError:
+                omitted.append(f"errors with {name} {self.too_late}")
+                break
+            except WorkerLostError as error:
+                omitted.append(f"errors with {name} {_lost(error)}")
+        return pd.concat(tables[1:] or tables, ignore_index=True), omitted
 
-def _omission(seconds: float) -> str:
-    """The end of a sentence on results that the time limit excluded."""
-    return (
-        f"are left out: the time limit of {seconds:g} s is over (--seconds {10 * seconds:g} raises "
-        "it)."
-    )
+    def uncertainty(self, theta: Array) -> Linearised:
+        """The uncertainty of an optimum (d,), allowing for correlated neighbouring rows.
+
+        Rounding errors may be correlated too, so the correlation is ignored if all errors are
+        rounding.
+        """
+        error = root_mean_square(self.problem.errors(theta))
+        return linearised(self.problem, theta, neighbours=error > rounding_of(self.problem))
+
+    def profiles(self, optima: Sequence[Linearised]) -> tuple[dict[str, Profile], list[str]]:
+        """The profiles by parameter, and remarks on missing ones.
+
+        Parameters that are at a bound or unidentifiable at all optima have no profile. There are no
+        profiles for data in events, or if the errors are rounding.
+        """
+        at, *others = optima
+        requested = self.requested
+        if requested is None:
+            requested = len(self.problem.space) <= MOST_PROFILES
+        if not requested or at.events or at.noise <= rounding_of(self.problem):
+            return {}, []
+        parameters: dict[str, int | str] = {}
+        for optimum in optima:
+            parameters |= profiled_parameters(self.problem, optimum)
+        limit = None if self.requested else self.deadline
+        if self.pool is not None:
+            return self._profiles_by_workers(optima, parameters, limit)
+        curves: dict[str, Profile] = {}
+        for name, of in parameters.items():
+            self.progress(f"profile of {name}")
+            try:
+                curves[name] = likelihood_profile(self.problem, at, of, self.level, limit, others)
+            except OutOfTimeError:
+                late = [other for other in parameters if other not in curves]
+                return curves, [f"profile intervals of {', '.join(late)} {self.too_late}"]
+        return curves, []
+
+    def _profiles_by_workers(
+        self,
+        optima: Sequence[Linearised],
+        parameters: Mapping[str, int | str],
+        limit: Deadline | None,
+    ) -> tuple[dict[str, Profile], list[str]]:
+        """The result of `profiles` from workers; each side of each profile is one task."""
+        at, *others = optima
+        sides = in_blocks(
+            self.pool,
+            ProfileSide(self.problem, at, self.level, limit, others),
+            [(of, sign) for of in parameters.values() for sign in SIGNS],
+            REFITS * seconds_of_refit(self.problem, at.theta),
+            (lambda: None) if limit is None else limit.check,
+        )
+        curves: dict[str, Profile] = {}
+        late: list[str] = []
+        omitted: list[str] = []
+        for name in parameters:
+            self.progress(f"profile of {name}")
+            try:
+                lower, upper = (next(sides, None) for _ in SIGNS)
+            except OutOfTimeError:  # which ends `sides`
+                lower = upper = None
+            lost = [side for side in (lower, upper) if isinstance(side, WorkerLostError)]
+            if lost:
+                omitted.append(f"profile intervals of {name} {_lost(lost[0])}")
+            elif lower is None or upper is None:
+                late.append(name)
+            else:
+                curves[name] = joined(lower, upper)
+        if late:
+            omitted.append(f"profile intervals of {', '.join(late)} {self.too_late}")
+        return curves, omitted
+
+    @property
+    def too_late(self) -> str:
+        """The end of a sentence on results that the time limit excluded."""
+        return (
+            f"are left out: the time limit of {self.seconds:g} s is over (--seconds "
+            f"{10 * self.seconds:g} raises it)."
+        )
 
 
 def _lost(error: WorkerLostError) -> str:
