@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
@@ -85,7 +85,7 @@ def bootstrap(
 
     drawn = (weights() for _ in range(replicates))  # the order does not depend on workers
     estimates = np.empty((replicates, theta.size))
-    refitted = _Refitted(problem, (theta, *others), fixed)
+    refitted = partial(_refitted, problem, (theta, *others), fixed)
     for k, estimate in enumerate(in_blocks(pool, refitted, drawn)):
         if isinstance(estimate, WorkerLostError):
             raise ValueError(f"a bootstrap replicate was lost with its worker: {estimate}")
@@ -120,19 +120,12 @@ def replicated(
     return stretched(estimates, at, problem.space)
 
 
-@dataclass(frozen=True)
-class _Refitted:
+def _refitted(
+    problem: CurveFit, starts: Sequence[Array], fixed: Sequence[int], weights: Array
+) -> Array:
     """The best optimum (d,) of weighted rows, by descents from the optima for equal weights."""
-
-    problem: CurveFit
-    starts: Sequence[Array]
-    fixed: Sequence[int]
-
-    def __call__(self, weights: Array) -> Array:
-        ends = [
-            refit(self.problem, start, weights, self.fixed, tolerance=1e-6) for start in self.starts
-        ]
-        return min(ends, key=lambda end: end.cost).theta
+    ends = [refit(problem, start, weights, fixed, tolerance=1e-6) for start in starts]
+    return min(ends, key=lambda end: end.cost).theta
 
 
 def block_length(errors: Array) -> int:

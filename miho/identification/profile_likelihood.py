@@ -151,24 +151,19 @@ class Side(NamedTuple):
     best: Refit
 
 
-@dataclass(frozen=True)
-class ProfileSide:
-    """A function that computes one side of a profile, independently of the other side."""
-
-    problem: CurveFit
-    at: Linearised
-    level: float
-    deadline: Deadline | None
-    others: Sequence[Linearised] = ()
-
-    def __call__(self, side: tuple[int | str, int]) -> Side | None:
-        """The side of a parameter with a sign of SIGNS; None after the deadline."""
-        of, sign = side
-        try:
-            tau = _SignedRoot(self.problem, (self.at, *self.others), of, self.level, self.deadline)
-            return _side(tau, sign, self.level)
-        except OutOfTimeError:
-            return None
+def profile_side(
+    problem: CurveFit,
+    optima: Sequence[Linearised],
+    level: float,
+    deadline: Deadline | None,
+    side: tuple[int | str, int],
+) -> Side | None:
+    """A side of a profile, a parameter and a sign of SIGNS, on its own; None after the deadline."""
+    of, sign = side
+    try:
+        return _side(_SignedRoot(problem, optima, of, level, deadline), sign, level)
+    except OutOfTimeError:
+        return None
 
 
 def joined(lower: Side, upper: Side) -> Profile:
@@ -188,7 +183,7 @@ def _side(tau: _SignedRoot, sign: int, level: float) -> Side:
     """
     at, target = tau.sized.at, tau.sized.target
     quantile, bound = at.quantile(level), target.low if sign < 0 else target.high
-    first = at.independent.quantile(level) / _widening(at, target, level)
+    first = at.independent.quantile(level) / tau.sized.widening(level)
     within = [branch for branch in tau.branches if abs(tau(branch.target.centre)) < first]
     outermost = max(within, key=lambda branch: sign * branch.target.centre)
     error = outermost.error if outermost.has_error else tau.sized.error
@@ -208,7 +203,7 @@ class _Branch:
 
     def __init__(self, problem: CurveFit, at: Linearised, of: int | str) -> None:
         self.at, self.target = at, _target(problem, at, of)
-        self.error = _error(at.independent, self.target)
+        self.error = self._error(at.independent)
         self.has_error = bool(np.isfinite(self.error) and self.error > 0)
         self._direction = _conditional_direction(at, self.target.gradient)
         space = problem.space
@@ -216,6 +211,18 @@ class _Branch:
         share = (space.encode(at.theta) - low) / (high - low)
         self.inside = space.decode(low + (high - low) * np.clip(share, INSIDE, 1 - INSIDE))
         self.thetas = {self.target.centre: at.theta}
+
+    def _error(self, at: Linearised) -> float:
+        if self.target.position is not None:
+            return float(at.standard_errors[self.target.position])
+        return float(at.spread(self.target.gradient[None])[0])
+
+    def widening(self, level: float) -> float:
+        """The widening factor of a profile for dependent rows, for tau up to `at.quantile`."""
+        if self.at.dependence is None:
+            return 1.0
+        quantile = float(self.at.quantiles(self.target.gradient[None], level)[0])
+        return quantile / self.at.quantile(level) * (self._error(self.at) / self.error)
 
     def nearest(self, value: float) -> tuple[Array, Array]:
         """Parameters (d,) of the nearest refit, moved along the linearised model and unmoved."""
@@ -249,7 +256,7 @@ class _SignedRoot:
         self._cost = float(np.sum(problem.residuals(at.theta) ** 2))
         variance = error_variance(problem, at)
         self.sized = next(filter(lambda branch: branch.has_error, self.branches), self.branches[0])
-        self._unit = variance * _widening(self.sized.at, self.sized.target, level) ** 2
+        self._unit = variance * self.sized.widening(level) ** 2
         self._weight = PINNED * float(np.sqrt(variance) / self.sized.error)
         # A refit would waste many steps along directions that the data do not determine.
         self._fixed = {*_superfluous(at), *([] if target.position is None else [target.position])}
@@ -334,21 +341,6 @@ def _end(
         maxiter=HALVINGS,
     )
     return float(solution.x)
-
-
-def _error(at: Linearised, target: _Target) -> float:
-    """The standard error of the profiled parameter."""
-    if target.position is not None:
-        return float(at.standard_errors[target.position])
-    return float(at.spread(target.gradient[None])[0])
-
-
-def _widening(at: Linearised, target: _Target, level: float) -> float:
-    """The widening factor of a profile for dependent rows, for tau up to `at.quantile`."""
-    if at.dependence is None:
-        return 1.0
-    quantile = float(at.quantiles(target.gradient[None], level)[0])
-    return quantile / at.quantile(level) * (_error(at, target) / _error(at.independent, target))
 
 
 def _superfluous(at: Linearised) -> list[int]:

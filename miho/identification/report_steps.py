@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +20,9 @@ from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, conclusion_on
 from miho.identification.profile_likelihood import (
     SIGNS,
     Profile,
-    ProfileSide,
     joined,
     likelihood_profile,
+    profile_side,
 )
 from miho.identification.refit import OutOfTimeError, Refit, refit
 from miho.identification.report import Report, rounding_of
@@ -324,12 +325,11 @@ class _Steps:
         limit: Deadline | None,
     ) -> tuple[dict[str, Profile], list[str]]:
         """The result of `profiles` from workers; each side of each profile is one task."""
-        at, *others = optima
         sides = in_blocks(
             self.pool,
-            ProfileSide(self.problem, at, self.level, limit, others),
+            partial(profile_side, self.problem, optima, self.level, limit),
             [(of, sign) for of in parameters.values() for sign in SIGNS],
-            REFITS * seconds_of_refit(self.problem, at.theta),
+            REFITS * seconds_of_refit(self.problem, optima[0].theta),
             (lambda: None) if limit is None else limit.check,
         )
         curves: dict[str, Profile] = {}

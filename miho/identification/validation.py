@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -123,7 +124,7 @@ def leave_one_out(
     ]
     deadline = deadline or Deadline()
     seconds = None if pool is None else seconds_of_refit(problem, theta)
-    without = _Without(problem, theta, fixed, deadline)
+    without = partial(_without, problem, theta, fixed, deadline)
     rows = []
     for left_out, estimate in zip(
         parts, in_blocks(pool, without, parts, seconds, deadline.check), strict=True
@@ -145,18 +146,16 @@ def leave_one_out(
     return pd.DataFrame(rows)
 
 
-@dataclass(frozen=True)
-class _Without:
+def _without(
+    problem: CurveFit,
+    theta: Array,
+    fixed: Sequence[int],
+    deadline: Deadline,
+    left_out: NDArray[np.bool_],
+) -> Array:
     """The optimum (d,) without some of the rows (N,)."""
-
-    problem: CurveFit
-    theta: Array
-    fixed: Sequence[int]
-    deadline: Deadline
-
-    def __call__(self, left_out: NDArray[np.bool_]) -> Array:
-        weights = (~left_out).astype(float)
-        return refit(self.problem, self.theta, weights, self.fixed, deadline=self.deadline).theta
+    weights = (~left_out).astype(float)
+    return refit(problem, theta, weights, fixed, deadline=deadline).theta
 
 
 def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = None) -> pd.DataFrame:
