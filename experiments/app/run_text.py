@@ -171,7 +171,7 @@ def _ending(
         return f"{ending}, in the only optimum: the problem is linear in all its parameters"
     if descents is None:
         return ending
-    finished, kind = descents.finished, descents.kinds
+    finished, kind = descents.finished, descents.kind(2)
     enough = descents.agreement(loss, resolution).enough and descents.settled
     ending += f", {'after' if enough else 'before'} enough of its {kind} agreed"
     if found_by:

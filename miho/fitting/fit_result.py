@@ -361,20 +361,9 @@ class Fit(Remade):
 
         With several inputs the figure shows measured over predicted values.
         """
-        from miho.figures.report import Column, curve_band, fit_figure
-        from miho.models.joint import rows_of_parts
+        from miho.fitting.printed_fit import figure_of
 
-        dataset, inputs = self.problem.dataset, self.problem.model.inputs
-        parts = rows_of_parts(self.problem.model, self.problem.inputs)
-        shown = "output" if parts else dataset.output
-        measured = Column(shown, self.problem.unit, dataset[dataset.output])
-        predicted = self.problem.model.predict(self.theta[None], *self.problem.inputs)[0]
-        x = band = None
-        if len(inputs) == 1:
-            (name,) = inputs
-            x = Column(name, dataset.units[name], dataset[name])
-            band = curve_band(x.values, self.problem.model.ordered, self._band)
-        return fit_figure(measured, predicted, x, band, parts)
+        return figure_of(self)
 
     def __str__(self) -> str:
         """The parameters, the error, the evidence for the optimum, and the caveats."""

@@ -6,14 +6,14 @@ import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from miho.fitting.arguments import DENSE, check_named, data_of, space_of
-from miho.fitting.confirmed import by_calls, check_repeats
 from miho.fitting.fit_result import Fit
-from miho.fitting.search import searched, spread, title
+from miho.fitting.search import by_calls, check_repeats, searched, spread, title
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
@@ -204,31 +204,24 @@ def fit(
 
             free_values(bounds.free, ties_of(chosen, bounds), start)
 
-    first: CurveFit | None = None  # its model has been examined
-    opened: AbstractContextManager[Evaluations | None]
-
-    def problem_of(
-        bounds: Space, prior_scale: float | None = None, expensive: bool = True
-    ) -> CurveFit:
-        known = chosen if first is None else first.model.whole
-        return CurveFit(
-            known, dataset, bounds, rho, sigma=sigma, sigma_known=sigma_known,
-            compiled=compiled, prior_scale=prior_scale, expensive=expensive,
-        )  # fmt: skip
-
     # If sigma is unknown, the residuals determine the weight of priors.
     settles = bounds.has_priors and (sigma is None or not sigma_known)
     plain = bounds.without_priors if settles else bounds
-    away = not (workers is None and evaluation_limit is None and journal is None)
-    if away:
+
+    def problem_of(expensive: bool) -> CurveFit:
+        return CurveFit(
+            chosen, dataset, plain, rho, sigma=sigma, sigma_known=sigma_known, compiled=compiled,
+            expensive=expensive,
+        )  # fmt: skip
+
+    opened: AbstractContextManager[Evaluations | None] = nullcontext()
+    if workers is None and evaluation_limit is None and journal is None:
+        first = problem_of(expensive=False)
+    else:
         from miho.fitting.expensive_fit import as_begun, expensive_fit
 
-        first = as_begun(
-            lambda expensive: problem_of(plain, expensive=expensive), journal, evaluation_limit
-        )
+        first = as_begun(problem_of, journal, evaluation_limit)
         opened = expensive_fit(first, workers, evaluation_limit, journal)
-    else:
-        first, opened = problem_of(plain, expensive=False), nullcontext()
     with opened as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
@@ -247,7 +240,11 @@ def fit(
             return solved(first)
         from miho.fitting.prior_weight import settled
 
-        return settled(bounds, lambda *box: solved(problem_of(*box)), evaluations)
+        def weighed(box: Space, scale: float | None) -> Fit:
+            whole = first.model.whole  # which has been examined
+            return solved(replace(first, model=whole, space=box, prior_scale=scale, expensive=True))
+
+        return settled(bounds, weighed, evaluations)
 
 
 def _check_within(sought: Space, own: Space, values: Mapping[str, float]) -> None:

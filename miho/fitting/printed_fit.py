@@ -1,4 +1,4 @@
-"""The printed form of a fit, and the sentences on its limits."""
+"""The printed form of a fit, the sentences on its limits, and its figure."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from miho.fitting.fit_result import Fit
 
 
@@ -59,3 +61,22 @@ def caveats(fit: Fit) -> list[str]:
     space = reported_space(fit.problem.space)
     sentences += (ended_at_bounds if conclusion.doubt else held_at_bounds)(at, space)
     return sentences + unseen(at, space, everywhere=False)
+
+
+def figure_of(fit: Fit) -> Figure:
+    """The data and the curve with its interval, or measured over predicted values."""
+    from miho.figures.report import Column, curve_band, fit_figure
+    from miho.models.joint import rows_of_parts
+
+    problem, dataset = fit.problem, fit.problem.dataset
+    inputs = problem.model.inputs
+    parts = rows_of_parts(problem.model, problem.inputs)
+    shown = "output" if parts else dataset.output
+    measured = Column(shown, problem.unit, dataset[dataset.output])
+    predicted = problem.model.predict(fit.theta[None], *problem.inputs)[0]
+    x = band = None
+    if len(inputs) == 1:
+        (name,) = inputs
+        x = Column(name, dataset.units[name], dataset[name])
+        band = curve_band(x.values, problem.model.ordered, fit._band)
+    return fit_figure(measured, predicted, x, band, parts)

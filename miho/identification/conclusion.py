@@ -83,7 +83,7 @@ def conclusion_from(
     agreed = all_of.agreement(loss, rounding)
     agreeing = agreed.agreeing
     starts = f" ({screened:,} starting points screened)" * bool(screened)
-    counted = f"{finished} {all_of.kinds if finished > 1 else all_of.kind}"
+    counted = f"{finished} {all_of.kind(finished)}"
     count = f"{agreeing or 'none'} of {counted}{starts} found this optimum{_stopped_early(dropped)}"
     chance = f"chance that another search finds a better one: {100 * agreed.better:.2g} %"
 
@@ -106,11 +106,11 @@ def conclusion_from(
         single = "a single search cannot show whether a better optimum exists"
         return Conclusion(single, single)
     if not finished:
-        unfinished = f"no {all_of.kind} finished within the budget"
+        unfinished = f"no {all_of.kind()} finished within the budget"
         return Conclusion(unfinished, unfinished)
     if finished == 1:
         place = "found this optimum" if agreeing else "ended elsewhere"
-        count = f"the only finished {all_of.kind}{starts} {place}{_stopped_early(dropped)}"
+        count = f"the only finished {all_of.kind()}{starts} {place}{_stopped_early(dropped)}"
     doubt = f"only {count}" if 0 < agreeing < finished else count
     if agreed.optima > 1:
         errors = agreed.optima - dropped

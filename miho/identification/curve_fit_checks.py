@@ -95,18 +95,16 @@ def examined(
         return model
     thetas = _trials_of(model, space)
     columns = [dataset[name] for name in model.inputs]
-    if model.source is None or _is_arithmetic(model):
+    traced = model.source is None
+    if not traced:
+        from miho.models.plain_arithmetic import is_arithmetic
+
+        traced = is_arithmetic(model.function)
+    if traced:
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
     return model if expensive else model.tried_at(thetas, *columns)
-
-
-def _is_arithmetic(model: FunctionModel) -> bool:
-    """Whether the text of a function is plain arithmetic."""
-    from miho.models.plain_arithmetic import is_arithmetic
-
-    return is_arithmetic(model.function)
 
 
 def _trials_of(model: FunctionModel, space: Space) -> Array:

@@ -173,9 +173,10 @@ def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
     error = with_unit(f"{math.sqrt(min(search.ends, default=before)):.5g}", unit)
     if not search.ends:
         return f"the search had ended at an error of {error}"
+    kind = search.kind(search.finished)
     if search.finished == 1:
-        return f"one {search.kind} had ended at an error of {error}"
-    return f"{search.finished:,} {search.kinds} had ended, the best of them at an error of {error}"
+        return f"one {kind} had ended at an error of {error}"
+    return f"{search.finished:,} {kind} had ended, the best of them at an error of {error}"
 
 
 def _step(before: float, after: float) -> str:

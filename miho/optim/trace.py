@@ -322,15 +322,11 @@ class Descents:
             self.ends, rounding, best=best, finished=self.finished, dropped=self.dropped
         )
 
-    @property
-    def kind(self) -> str:
-        """The name of one of these descents."""
-        return "independent search" if self.brackets else "descent"
-
-    @property
-    def kinds(self) -> str:
-        """The name of several of these descents."""
-        return "independent searches" if self.brackets else "descents"
+    def kind(self, count: int = 1) -> str:
+        """The name of this number of descents."""
+        if self.brackets:
+            return "independent search" + "es" * (count > 1)
+        return "descent" + "s" * (count > 1)
 
     @classmethod
     def from_stored(cls, record: Mapping[str, Any]) -> Descents:

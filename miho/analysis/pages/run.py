@@ -153,7 +153,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
             problem.unit,
             None if report.best_known is None else math.sqrt(report.best_known),
             math.sqrt(problem.rounding),
-            report.search.kinds,
+            report.search.kind(2),
             report.search.dropped,
         )
     if profiles:
@@ -185,7 +185,7 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
             "from the lowest optimum to the highest.",
         ),
         Section(
-            f"Final errors of the {report.search.kinds}",
+            f"Final errors of the {report.search.kind(2)}",
             figure=figures.get("descents"),
             caption=_searched(report),
         ),
@@ -268,8 +268,8 @@ def _searched(report: Report) -> str:
     which = f"the best {len(report.descents):,} " * (finished > len(report.descents))
     starts = f", from the best of {search.screened:,} configurations" * bool(search.screened)
     caption = (
-        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} {search.kinds} "
-        f"ended{starts}, sorted: a horizontal section is one optimum."
+        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} "
+        f"{search.kind(2)} ended{starts}, sorted: a horizontal section is one optimum."
     )
     if dropped:
         caption += (
