@@ -1,11 +1,12 @@
-"""Export the runs of a root in a format that other tools read.
+"""Export the runs of a root as tables in CSV.
 
-python -m experiments.export runs/arena --to csv                      # runs/arena/exports/csv
-python -m experiments.export runs/arena ioh-folder   # IOHprofiler: IOHanalyzer, iohinspector
+python -m experiments.export runs/arena            # into runs/arena/exports/csv
+python -m experiments.export runs/arena FOLDER
 
-CSV has two tables: one row per run, and one row per step of each curve. columns.json gives the
-meaning and the unit of each column, and the checksums of both files. Other formats are written by
-pandas: `miho.load_runs("runs/arena").runs.to_parquet("runs.parquet")`.
+There are two tables: one row per run, and one row per step of each curve. columns.json gives the
+meaning and the unit of each column, and the checksums of both files. IOHanalyzer reads curves.csv
+as a custom CSV file. Other formats are written by pandas:
+`miho.load_runs("runs/arena").runs.to_parquet("runs.parquet")`.
 """
 
 from __future__ import annotations
@@ -17,32 +18,25 @@ from pathlib import Path
 from experiments.app.arguments import root_folder
 from experiments.app.build import ConfigError
 from experiments.app.console import run_and_exit
-from miho.analysis.export import write_csv, write_ioh
+from miho.analysis.export import write_csv
 from miho.study import load_runs
-
-WRITERS = {"ioh": write_ioh, "csv": write_csv}
 
 
 def main() -> None:
     """Parse the arguments and export."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.export",
-        description="Export finished runs: as tables in CSV, or in the IOHprofiler "
-        "format (errors over evaluations, a folder for each method), which IOHanalyzer and "
-        "iohinspector read. Parquet: miho.load_runs(root).runs.to_parquet(file).",
+        description="Export finished runs as tables in CSV, which IOHanalyzer also reads. "
+        "Parquet: miho.load_runs(root).runs.to_parquet(file).",
     )
     parser.add_argument("root", type=root_folder, help="folder of runs")
     parser.add_argument("folder", type=Path, nargs="?", help="the same as --output")
-    parser.add_argument("--to", choices=sorted(WRITERS), default="ioh", help="format (ioh)")
-    parser.add_argument(
-        "--output", type=Path, help="folder, new or empty for ioh; by default ROOT/exports/FORMAT"
-    )
+    parser.add_argument("--to", choices=["csv"], default="csv", help="format (csv)")
+    parser.add_argument("--output", type=Path, help="folder; by default ROOT/exports/csv")
     arguments = parser.parse_args()
     if arguments.folder is not None and arguments.output is not None:
         parser.error("give the folder once: as the second argument or with --output")
-    output = arguments.output or arguments.folder
-    if output is None:
-        output = arguments.root / "exports" / arguments.to
+    output = arguments.output or arguments.folder or arguments.root / "exports" / "csv"
 
     def job() -> None:
         stored = load_runs(arguments.root)
@@ -50,10 +44,7 @@ def main() -> None:
             raise ConfigError(
                 f"{arguments.root}: holds no finished runs; run experiments.identify first"
             )
-        try:
-            WRITERS[arguments.to](stored.runs, stored.curves, output)
-        except (ValueError, FileExistsError, ModuleNotFoundError) as error:
-            raise ConfigError(str(error)) from None
+        write_csv(stored.runs, stored.curves, output)
         if len(stored.damaged):
             print(f"{len(stored.damaged)} damaged runs were left out", file=sys.stderr)
         print(f"{len(stored.runs)} runs in {output}")

@@ -287,11 +287,3 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     ending = "at most 300 evaluations per run, runs end at 1.0001 times the optimum"
     assert comparison.note.endswith(ending)
     assert len(load_runs(root).runs) == 12
-
-    export = [sys.executable, "-m", "experiments.export", str(root), str(tmp_path / "ioh")]
-    exported = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
-    assert exported.returncode == 0, exported.stderr
-    assert {path.name for path in (tmp_path / "ioh").iterdir()} == {"miho", "pso_100", "random"}
-    exported = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
-    assert exported.returncode == 2
-    assert "not empty" in exported.stderr

@@ -95,10 +95,8 @@ def test_the_command(
     assert len(load_runs(root).runs) == 3
     assert load_runs(root).damaged.empty, "what is exported into a root is not taken for runs"
 
-    assert command(monkeypatch, root, tmp_path / "ioh") == 0
-    assert (tmp_path / "ioh" / "random").is_dir()
-    assert command(monkeypatch, root, "--to", "ioh", "--output", tmp_path / "ioh") == 2
-    assert "is not empty" in capsys.readouterr().err
+    assert command(monkeypatch, root, tmp_path / "one") == 0
+    assert len(pd.read_csv(tmp_path / "one" / "runs.csv")) == 3
 
     result = next(root.rglob("result.json"))
     result.write_text(result.read_text()[:-9])

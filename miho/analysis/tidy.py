@@ -94,12 +94,6 @@ def with_silent_runs(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([curves, rows], ignore_index=True)
 
 
-def dimensions(runs: pd.DataFrame) -> dict[str, int]:
-    """The number of parameters of each problem: its `theta.` columns with any value."""
-    thetas = runs.filter(regex=r"^theta\.").notna().groupby(runs["problem"]).any().sum(axis=1)
-    return {str(problem): int(count) for problem, count in thetas.items()}
-
-
 def shown_unit(unit: str) -> tuple[str, float]:
     """The unit in tables and figures and the factor to it: forces are shown in kN."""
     return ("kN", 1e-3) if unit == "N" else (unit, 1.0)
