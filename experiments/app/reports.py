@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from experiments.app.build import ConfigError, rebuild
 from experiments.app.configured import as_configured
 from experiments.app.console import OK, SOME_FAILED
@@ -88,12 +86,7 @@ def read_sweep(root: Path) -> Sweep:
     count = len(stored.runs)
     if not sys.stderr.isatty():
         print(f"report of {count:,} runs: running", file=sys.stderr, flush=True)
-    with tqdm(total=count, desc="reading runs", leave=False, disable=None) as bar:
-
-        def count_run() -> None:
-            bar.update()
-
-        sweep = Sweep.of(stored, count_run)
+    sweep = Sweep.of(stored)
     if sweep.runs.empty:
         raise ConfigError(f"{root}: none of its {count} runs can be read; repeat the sweep")
     inside = sweep.damaged.map(lambda text: str(text).replace(f"{root}{os.sep}", ""))

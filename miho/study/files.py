@@ -61,6 +61,8 @@ def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
             data = files[name] = read_bytes(f"{folder}/{name}", limit)
             if digest_of(data).hexdigest() != digests[name]:
                 raise DamagedRun(f"{folder}/{name}: checksum does not match")
+            if name != CURVE and not data.startswith(b"{"):
+                raise DamagedRun(f"{folder}/{name}: contains no settings")
             if name != CURVE and nesting(data) > DEEPEST_SETTINGS:
                 deepest = f"nested deeper than {DEEPEST_SETTINGS} levels"
                 raise DamagedRun(f"{folder}/{name}: {deepest}")

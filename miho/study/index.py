@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -13,8 +14,7 @@ import numpy as np
 import pandas as pd
 
 from miho.study.curves import COLUMNS, curve_of, error_of, without_theta
-from miho.study.files import CONFIG
-from miho.study.scan import CheckedRun, Damage, scan
+from miho.study.files import CONFIG, CURVE, ENVIRONMENT, DamagedRun, NoResult, read_checked
 from miho.study.settings import Parts, RunRequest, differing, parts_of
 
 RUN_COLUMNS = [
@@ -24,6 +24,16 @@ RUN_COLUMNS = [
     "folder",
 ]  # fmt: skip
 KEYS = ["id", "problem", "optimizer", "seed"]
+DEPTH = 3
+"""Runs are in root/<problem>/<optimizer>/<id>."""
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A folder that was skipped, and the reason."""
+
+    folder: str
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +67,8 @@ class Runs:
     keys: pd.DataFrame
     texts: tuple[bytes, ...]
     """For each row of `keys`, the text of the curve, without parameters."""
+    requests: tuple[RunRequest, ...]
+    """For each row of `runs`, its request and environment."""
 
     @property
     def curves(self) -> pd.DataFrame:
@@ -121,36 +133,63 @@ def load_runs(root: str | Path) -> Runs:
     skipped: list[Damage] = []
     requests: list[RunRequest] = []
     configs: dict[str, Parts] = {}  # by the digest of their file; seeds share it
-    for run in scan(top):
-        if isinstance(run, Damage):
-            skipped.append(run)
+    for folder in _folders(str(top), DEPTH):
+        if isinstance(folder, Damage):
+            skipped.append(folder)
             continue
         try:
-            row, request = _run_row(run), _request(run, configs)
-        except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
-            reason = f"{run.folder}: {type(error).__name__}: {error}"
-            skipped.append(Damage(run.folder, reason))
+            result, files = read_checked(folder)
+            row, request = _run_row(folder, result), _request(result, files, configs)
+        except NoResult:
             continue
-        rows.append(row)
-        curves.append(without_theta(run.curve))
-        requests.append(request)
+        except DamagedRun as error:
+            skipped.append(Damage(folder, str(error)))
+        except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
+            skipped.append(Damage(folder, f"{folder}: {type(error).__name__}: {error}"))
+        else:
+            rows.append(row)
+            curves.append(without_theta(files[CURVE]))
+            requests.append(request)
     table = pd.DataFrame(rows) if rows else pd.DataFrame(columns=RUN_COLUMNS)
     columns = differing(requests)
     table = pd.concat([table[KEYS], columns, table.drop(columns=KEYS)], axis=1)
     keys = table[[*KEYS, *columns, "folder"]]
-    return Runs(table, top, tuple(skipped), keys, tuple(curves))
+    return Runs(table, top, tuple(skipped), keys, tuple(curves), tuple(requests))
 
 
-def _request(run: CheckedRun, configs: dict[str, Parts]) -> RunRequest:
-    result, digest = run.result, str(run.result["files"][CONFIG])
+def _folders(top: str, depth: int) -> Iterator[str | Damage]:
+    """Folders `depth` levels below `top` in the order of their paths, and obstacles on the way.
+
+    Hidden folders are skipped. Links to folders are not followed, because they can lead out of the
+    root; they count as damage, and so do unreadable folders.
+    """
+    if depth == 0:
+        yield top
+        return
+    try:
+        with os.scandir(top) as entries:
+            inside = [entry for entry in entries if not entry.name.startswith(".")]
+        for entry in sorted(inside, key=lambda entry: f"{entry.name}/"):
+            if entry.is_dir(follow_symlinks=False):
+                yield from _folders(entry.path, depth - 1)
+            elif entry.is_dir():
+                yield Damage(entry.path, f"{entry.path}: a symbolic link, which is not followed")
+    except OSError as error:
+        yield Damage(top, f"{top}: {error.strerror}")
+
+
+def _request(
+    result: Mapping[str, Any], files: Mapping[str, bytes], configs: dict[str, Parts]
+) -> RunRequest:
+    digest = str(result["files"][CONFIG])
     if digest not in configs:
-        configs[digest] = parts_of(run.config)
+        configs[digest] = parts_of(files[CONFIG])
     names = str(result["problem"]), str(result["optimizer"]), result["seed"]
-    return RunRequest(*names, configs[digest], str(result["code"]), str(result["data"]))
+    origin = str(result["code"]), str(result["data"]), files[ENVIRONMENT]
+    return RunRequest(*names, configs[digest], *origin)
 
 
-def _run_row(run: CheckedRun) -> dict[str, Any]:
-    result = run.result
+def _run_row(folder: str, result: Mapping[str, Any]) -> dict[str, Any]:
     facts: Mapping[str, Any] = result["facts"]
     names = _theta_names(*(parameter["name"] for parameter in result["parameters"]))
     theta = result["theta"] or [math.nan] * len(names)
@@ -172,7 +211,7 @@ def _run_row(run: CheckedRun) -> dict[str, Any]:
         "optimum": error_of(facts.get("optimum")),
         "dimension": len(names),
         "timing_valid": facts.get("timing_valid"),
-        "folder": run.folder,
+        "folder": folder,
     }
     row.update(zip(names, theta, strict=True))
     return row

@@ -25,7 +25,7 @@ Parts = Mapping[str, bytes]
 
 
 class RunRequest(NamedTuple):
-    """Request of a run, and digests of its code and data."""
+    """Request of a run, digests of its code and data, and the text of its environment."""
 
     problem: str
     optimizer: str
@@ -33,6 +33,7 @@ class RunRequest(NamedTuple):
     parts: Parts
     code: str
     data: str
+    environment: bytes = b"{}"
 
 
 def parts_of(config: bytes) -> dict[str, bytes]:

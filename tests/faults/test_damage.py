@@ -51,7 +51,7 @@ def test_a_reader_that_checks_nothing_fails_the_row(
             raise DamagedRun(str(error)) from None
         return result, {name: (Path(folder) / name).read_bytes() for name in result["files"]}
 
-    monkeypatch.setattr("miho.study.scan.read_checked", unchecked)
+    monkeypatch.setattr("miho.study.index.read_checked", unchecked)
     detected, tried, right = damage(tmp_path, times=5)
     assert detected < tried or right < len(KINDS)
 

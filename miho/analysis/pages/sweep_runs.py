@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from numbers import Real
 from typing import Any
 
@@ -14,8 +15,8 @@ import pandas as pd
 from miho.analysis.text import significant
 from miho.analysis.variants import named_apart, with_names_of
 from miho.study import Runs
-from miho.study.files import CONFIG, ENVIRONMENT, DamagedRun, read_checked
 from miho.study.provenance import flattened
+from miho.study.settings import RunRequest
 
 Settings = Mapping[str, str]
 
@@ -35,39 +36,22 @@ class Origin:
     config: Settings
     environment: Settings
 
-
-def read_origins(
-    folders: Iterable[str], progress: Callable[[], None] = lambda: None
-) -> tuple[dict[str, Origin], dict[str, str]]:
-    """The origins of run folders, and the reasons why damaged folders were skipped.
-
-    Curves are not read. `progress` is called after every folder.
-    """
-    origins, damaged = {}, {}
-    configs: dict[str, Settings] = {}
-    for folder in folders:
-        try:
-            origins[folder] = _origin(folder, configs)
-        except DamagedRun as damage:
-            damaged[folder] = str(damage)
-        except (ValueError, LookupError, AttributeError, RecursionError) as bad:
-            damaged[folder] = f"{folder}: {type(bad).__name__}: {bad}"
-        progress()
-    return origins, damaged
-
-
-def _origin(folder: str, configs: dict[str, Settings]) -> Origin:
-    result, texts = read_checked(folder)
-    digest = result["files"][CONFIG]
-    if digest not in configs:
-        configs[digest] = json_leaves(json.loads(texts[CONFIG]))
-    environment = json_leaves(json.loads(texts[ENVIRONMENT]))
-    return Origin(str(result["code"]), str(result["data"]), configs[digest], environment)
+    @classmethod
+    def of(cls, request: RunRequest) -> Origin:
+        """The origin of a run from its stored request."""
+        config = _leaves_of_parts(tuple(request.parts.items()))
+        environment = json_leaves(json.loads(request.environment))
+        return cls(request.code, request.data, config, environment)
 
 
 def json_leaves(tree: Mapping[str, Any]) -> dict[str, str]:
     """Leaves of nested mappings: dotted path to JSON text."""
     return {path: json.dumps(leaf, ensure_ascii=False) for path, leaf in flattened(tree).items()}
+
+
+@lru_cache
+def _leaves_of_parts(parts: tuple[tuple[str, bytes], ...]) -> Settings:
+    return json_leaves({name: json.loads(part) for name, part in parts})
 
 
 def plain(text: str) -> str:
@@ -122,11 +106,15 @@ class Sweep:
     origins: Mapping[str, Origin]
 
     @classmethod
-    def of(cls, stored: Runs, progress: Callable[[], None] = lambda: None) -> Sweep:
-        """The contents of a root; `progress` is called after every folder."""
+    def of(cls, stored: Runs) -> Sweep:
+        """The contents of a root."""
         curves, runs, damaged = stored.curves, stored.runs, stored.damaged
-        origins, broken = read_origins(runs["folder"], progress)
-        broken |= dict.fromkeys(_malformed(runs), MALFORMED)
+        origins, broken = {}, dict.fromkeys(_malformed(runs), MALFORMED)
+        for folder, request in zip(runs["folder"], stored.requests, strict=True):
+            try:
+                origins[folder] = Origin.of(request)
+            except (ValueError, RecursionError) as error:
+                broken[folder] = f"{folder}: {type(error).__name__}: {error}"
         if broken:
             runs = runs[~runs["folder"].isin(broken)]
             curves = curves[curves["id"].isin(runs["id"])]
