@@ -78,7 +78,7 @@ def clock_of(runs: pd.DataFrame) -> Clock:
     if (quiet.groupby("problem").mean() > QUIET_SHARE).all():
         whole = valid.groupby([runs["problem"], runs["seed"]]).transform("all")
         comparable = runs[whole]
-        drawn = f"shown are the {len(comparable)} runs of undisturbed seeds"
+        drawn = f"shown are the {len(comparable):,} runs of undisturbed seeds"
         return Clock("seconds", comparable, disturbed, f"seconds: {disturbed}; {drawn}")
     require_columns(runs, ["cpu_seconds"], "runs")
     return Clock("cpu_seconds", runs, disturbed, f"CPU seconds: {disturbed}")
@@ -87,6 +87,6 @@ def clock_of(runs: pd.DataFrame) -> Clock:
 def _disturbed(runs: pd.DataFrame) -> str:
     """A phrase such as "other work disturbed 3 of 40 runs"."""
     unwatched, disturbed = int(runs[VALID].isna().sum()), int(runs[VALID].eq(False).sum())
-    parts = [f"other work disturbed {disturbed} of {len(runs)} runs"] * bool(disturbed)
-    parts += [f"nothing watched {unwatched} of {len(runs)} runs"] * bool(unwatched)
+    parts = [f"other work disturbed {disturbed:,} of {len(runs):,} runs"] * bool(disturbed)
+    parts += [f"nothing watched {unwatched:,} of {len(runs):,} runs"] * bool(unwatched)
     return " and ".join(parts)

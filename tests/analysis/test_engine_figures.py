@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.collections import PathCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -51,7 +52,7 @@ def test_the_left_panel_shows_samples_and_curves_in_one_colour_each(figure: Figu
     for percent, drawn, line in zip((5.0, 15.0), points, lines, strict=True):
         np.testing.assert_array_equal(np.array(drawn.get_offsets()).T, data["samples"][percent])
         np.testing.assert_array_equal(np.array(line.get_data()), data["curves"][percent])
-        assert np.allclose(drawn.get_facecolor()[0][:3], line.get_color())
+        assert np.allclose(drawn.get_facecolor()[0][:3], to_rgb(line.get_color()))
     assert left.get_xlabel() == "engine speed [rpm]"
     assert left.get_ylabel() == "engine torque [Nm]"
 

@@ -46,7 +46,7 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
         label = [text for text in written if text.endswith(f"  {STYLES[str(method)].name}")]
         assert len(label) == 1
         assert float(label[0].split()[0]) == pytest.approx(errors.mean() / 1e3, rel=0.01, abs=5e-3)
-    assert any("R = 625" in text for text in written)
+    assert any("R\u00a0=\u00a0625" in text for text in written)
     (small,) = (text for text in written if text.startswith("lines: mean"))
     assert "irreducible error, 0.38 to 0.40 kN" in small.replace("\n", " ")
 

@@ -1,1 +1,1 @@
-"""Figures as functions of tidy data, by matplotlib; figures of comparisons also load seaborn."""
+"""Figures as functions of tidy data, by matplotlib."""

@@ -9,7 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from miho.figures.style import BLUE, RED, WIDTH, house_style
+from miho.analysis.figures.house import new_figure
+from miho.figures.style import BLUE, RED
 
 BINS = 40
 GREY, PALE = "#6e6e6e", "#cfcfcf"
@@ -33,9 +34,7 @@ def design_figure(rows: pd.DataFrame, table: pd.DataFrame) -> Figure:
     """
     every = [name for name in rows.columns if name != "row"]
     inputs = [name for name in every if rows[name].nunique() > 1] or every[:1]
-    with house_style():
-        height = max(2.4, 0.8 + 0.22 * len(table))
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    with new_figure(max(2.4, 0.8 + 0.22 * len(table))) as figure:
         left, right = figure.subplots(1, 2)
         if len(inputs) == 1:
             plot_rows_over_input(rows, inputs[0], left)

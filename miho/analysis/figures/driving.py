@@ -7,17 +7,14 @@ import textwrap
 
 import numpy as np
 import pandas as pd
-import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from miho.analysis.compare.bootstrap import mean_error
-from miho.analysis.figures.house import caption
-from miho.figures.style import WIDTH, house_style
+from miho.analysis.figures.house import caption, legend_above, new_figure
+from miho.figures.style import BLUE, GREEN, RED
 
-BLUE, _, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
 AMBER = "#f0b756"
 ALARM = "#b00020"
 DASHED = (0, (4, 2))
@@ -58,8 +55,7 @@ def fig7(
     Figure
         Four panels.
     """
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
+    with new_figure(5.8) as figure:
         velocity, lateral, steering, friction = figure.subplots(4, 1, sharex=True)
         plot_velocity(log, velocity, over="time")
         plot_lateral(log, lateral)
@@ -76,7 +72,6 @@ def fig7(
         _alarm(figure, lines)
         friction.set_xlabel("time [s]")
         caption(figure, "" if obstacle is None else "dotted: at the obstacle", note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -104,8 +99,7 @@ def fig8(
     Figure
         Five panels.
     """
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
+    with new_figure(7.2) as figure:
         panels = figure.subplots(5, 1, sharex=True)
         position, heading, velocity, error, pedals = panels
         plot_error(log, "e_y", 1.0, "position\nerror [m]", position)
@@ -122,7 +116,6 @@ def fig8(
             _alarm(figure, [f"red line: {departure[1]}"])
         pedals.set_xlabel("distance [km]")
         caption(figure, "dotted: start of a lap" if laps else "", note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -137,9 +130,8 @@ def plot_velocity(log: pd.DataFrame, ax: Axes, *, over: str) -> Axes:
     low, high = ax.get_ylim()
     spare = max(LEAST_RANGE - (high - low), 0.0) / 2
     ax.set(ylabel="velocity\n[m/s]", ylim=(low - spare, high + spare))
-    right = ax.secondary_yaxis("right", functions=(_kmh, _mps))
-    right.set_ylabel("[km/h]")
-    _legend(ax)
+    in_kmh(ax)
+    legend_above(ax)
     return ax
 
 
@@ -155,7 +147,7 @@ def plot_lateral(log: pd.DataFrame, ax: Axes) -> Axes:
     ax.plot(t, -log["ay_limit"], color="black", linewidth=0.8, linestyle=DASHED)
     _red(ax, t, log["ay"], beyond)
     ax.set_ylabel("lateral accel.\n[m/s²]")
-    _legend(ax)
+    legend_above(ax)
     return ax
 
 
@@ -165,7 +157,7 @@ def plot_steering(log: pd.DataFrame, ax: Axes) -> Axes:
     ax.plot(t, np.degrees(log["u_steering"]), color=AMBER, linewidth=3.2, label="command")
     ax.plot(t, np.degrees(log["steering"]), color=BLUE, linewidth=1.1, label="driven")
     ax.set_ylabel("steering of the\nroad wheels [deg]")
-    _legend(ax)
+    legend_above(ax)
     return ax
 
 
@@ -176,7 +168,7 @@ def plot_use(log: pd.DataFrame, ax: Axes) -> Axes:
     ax.axhline(1.0, color="black", linewidth=0.8, linestyle=DASHED, label="limit")
     _red(ax, t, use, use > 1)
     ax.set(ylabel="use of planned\nfriction [-]", ylim=(0, max(1.15, 1.05 * float(use.max()))))
-    _legend(ax)
+    legend_above(ax)
     return ax
 
 
@@ -204,7 +196,7 @@ def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
     ax.plot(at, 100 * log["u_throttle"], color=GREEN, linewidth=0.9, label="throttle [%]")
     ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=1.2, label="brake [bar]")
     ax.set(ylabel="throttle [%],\nbrake [bar]", ylim=(0, 105))
-    _legend(ax)
+    legend_above(ax)
     return ax
 
 
@@ -237,17 +229,12 @@ def _alarm(figure: Figure, lines: list[str]) -> None:
         figure.suptitle("\n".join(lines), color=ALARM, fontsize=9, x=0.01, ha="left")
 
 
-def _kmh(v: ArrayLike) -> np.ndarray:
-    return KMH * np.asarray(v, dtype=float)
-
-
-def _mps(v: ArrayLike) -> np.ndarray:
-    return np.asarray(v, dtype=float) / KMH
-
-
-def _legend(ax: Axes) -> None:
-    """Place the legend in a row above the panel, so that it covers no curve."""
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
+def in_kmh(ax: Axes) -> None:
+    """Add an axis in km/h at the right of a panel in m/s."""
+    right = ax.secondary_yaxis(
+        "right", functions=(lambda v: np.multiply(v, KMH), lambda v: np.divide(v, KMH))
+    )
+    right.set_ylabel("[km/h]")
 
 
 MEASURES = {
@@ -311,8 +298,7 @@ def lap_text(table: pd.DataFrame) -> str:
 
 def lap_figure(laps: pd.DataFrame, table: pd.DataFrame, *, note: str = "") -> Figure:
     """A panel per measure: seeds as light points, means with intervals, a line per variant."""
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 1.2 + 0.36 * len(table)), layout="constrained")
+    with new_figure(1.2 + 0.36 * len(table)) as figure:
         panels = figure.subplots(1, len(MEASURES), sharey=True)
         for ax, column in zip(panels, MEASURES, strict=True):
             plot_measure(laps, table, column, ax)
@@ -325,21 +311,19 @@ def lap_figure(laps: pd.DataFrame, table: pd.DataFrame, *, note: str = "") -> Fi
             for row in lost.itertuples()
         )
         caption(figure, explanation, fates, note)
-        figure.draw_without_rendering()
     return figure
 
 
 def plot_measure(laps: pd.DataFrame, table: pd.DataFrame, column: str, ax: Axes) -> Axes:
     """One measure of finished laps over the variants, which are lines 0, 1, ... of the table."""
     name, factor, _ = MEASURES[column]
-    color = sns.color_palette("colorblind")[0]
     for line, row in enumerate(table.to_dict("records")):
         seeds = laps[(laps["variant"] == row["variant"]) & laps["lap_time"].notna()]
         if seeds.empty:
             ax.text(0.5, line, "-", transform=ax.get_yaxis_transform(), ha="center", va="center")
             continue
         below = np.full(len(seeds), line + 0.22)
-        ax.scatter(factor * seeds[column], below, s=6, color=color, alpha=0.25)
+        ax.scatter(factor * seeds[column], below, s=6, color=BLUE, alpha=0.25)
         ends = row[f"{column}_low"], row[f"{column}_high"]
         ax.plot(ends, (line, line), color="black", linewidth=2.0, solid_capstyle="butt")
         ax.plot(row[column], line, "o", color="black", markersize=4)

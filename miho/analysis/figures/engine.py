@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from miho.analysis.figures.house import caption
+from miho.analysis.figures.house import caption, legend_below, new_figure
 from miho.analysis.figures.paper import Points
-from miho.figures.style import WIDTH, house_style
+from miho.figures.style import BLUE, COLORS
 from miho.quantities import Array
 
 LEVELS = np.arange(-200, 801, 50)
 DASHED = (0, (4, 2))
-LEGEND: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}
 
 
 def fig5(
@@ -74,8 +71,7 @@ def fig5(
             raise ValueError(
                 f"{name} of the map has shape {table.shape}; expected {shape}, throttle by speed"
             )
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
+    with new_figure(3.7) as figure:
         left, right = figure.subplots(1, 2)
         plot_torque_curves(
             samples, curves, left, truth=truth or {}, dyno=dyno or {}, errors=errors or {}
@@ -84,7 +80,6 @@ def fig5(
         plot_engine_map(rpm, throttle, torque, learned, right)
         right.set_title("integrated engine map, torque [Nm]", loc="left")
         caption(figure, note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -98,9 +93,8 @@ def plot_torque_curves(
     errors: Mapping[float, float],
 ) -> Axes:
     """Samples as light points, dyno points as crosses and learned curves as lines, as in `fig5`."""
-    palette = sns.color_palette("colorblind")
     openings = sorted(set(samples) | set(curves))
-    for opening, color in zip(openings, palette, strict=False):
+    for opening, color in zip(openings, COLORS, strict=False):
         label = f"{opening:g} %"
         if opening in errors:
             label += f", error {errors[opening]:.1f} Nm"
@@ -122,18 +116,15 @@ def plot_torque_curves(
         cross = Line2D([], [], color="#444444", linestyle="", marker="x", markersize=3)
         cross.set_label("dyno")
         handles.append(cross)
-    low, high = ax.get_ylim()
-    ax.set_ylim(low - 0.3 * (high - low), high)  # room for the legend below falling curves
-    ax.legend(handles=handles, loc="lower left", handlelength=1.6, **LEGEND)
+    legend_below(ax, handles, columns=2)
     ax.set(xlabel="engine speed [rpm]", ylabel="engine torque [Nm]")
     return ax
 
 
 def plot_engine_map(rpm: Array, throttle: Array, torque: Array, learned: Array, ax: Axes) -> Axes:
     """Contours of the torque over engine speed and throttle; blue where learned curves are used."""
-    blue = sns.color_palette("colorblind")[0]
     inside = np.logical_and(torque.min() < LEVELS, torque.max() > LEVELS)
-    ax.contourf(rpm, throttle, learned, levels=[1e-6, 1.5], colors=[blue], alpha=0.3)
+    ax.contourf(rpm, throttle, learned, levels=[1e-6, 1.5], colors=[BLUE], alpha=0.3)
     lines = ax.contour(
         rpm, throttle, torque, levels=LEVELS[inside], cmap="Greys", vmin=-400, linewidths=0.9
     )
@@ -141,12 +132,12 @@ def plot_engine_map(rpm: Array, throttle: Array, torque: Array, learned: Array, 
     for row, weight in zip(throttle, learned, strict=True):
         is_learned = weight > 0.999
         if is_learned.any():
-            ax.plot(rpm[is_learned], np.full(is_learned.sum(), row), color=blue, linewidth=1.4)
+            ax.plot(rpm[is_learned], np.full(is_learned.sum(), row), color=BLUE, linewidth=1.4)
     handles = [
-        Patch(facecolor=blue, alpha=0.3, label="interpolated with\nlearned curves"),
-        Line2D([], [], color=blue, linewidth=1.4, label="learned curve"),
+        Patch(facecolor=BLUE, alpha=0.3, label="interpolated with learned curves"),
+        Line2D([], [], color=BLUE, linewidth=1.4, label="learned curve"),
     ]
-    ax.legend(handles=handles, loc="upper left", handlelength=1.2, **LEGEND)
+    legend_below(ax, handles)
     ax.set(xlabel="engine speed [rpm]", ylabel="throttle [%]", ylim=(0, 100))
     ax.grid(visible=False)
     return ax

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -22,13 +24,21 @@ from miho.study import write_bytes
 
 NARROW = 140 / 25.4
 """Width [inches] of a figure that is readable on a phone."""
-CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
 TIME_LABEL_WIDTH = 44  # characters of 9 pt text below a panel of half WIDTH
 AXIS_LABELS = {
     "seconds": "time [s]",
     "cpu_seconds": "CPU seconds",
     "evaluations": "evaluations of the full loss",
 }
+
+
+@contextmanager
+def new_figure(height: float, width: float = WIDTH) -> Iterator[Figure]:
+    """A figure of this size [inches] in the house style; its layout is final after the context."""
+    with house_style():
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        figure.draw_without_rendering()
 
 
 def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
@@ -66,13 +76,24 @@ def time_label(clock: Clock) -> str:
     return f"{AXIS_LABELS[clock.axis]}\n{reason}"
 
 
-def caption(figure: Figure, *parts: str, width: float = WIDTH) -> None:
+def caption(figure: Figure, *parts: str) -> None:
     """Small print below the panels: the nonempty parts, in as many lines as needed."""
-    characters = int(CAPTION_WIDTH * width / WIDTH)
     text = "; ".join(part for part in parts if part).replace(" = ", "\u00a0=\u00a0")
-    lines = textwrap.fill(text, characters).replace("\u00a0", " ")
-    if lines:
-        figure.supxlabel(lines, fontsize=8, color="#444444", x=0.01, ha="left")
+    if text:
+        figure.supxlabel(text, fontsize=8, color="#444444", x=0.01, ha="left", wrap=True)
+
+
+def legend_above(ax: Axes) -> None:
+    """Place the legend in a row above the panel, so that it covers no curve."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
+
+
+def legend_below(ax: Axes, handles: Sequence[Artist] | None = None, columns: int = 1) -> None:
+    """Place the legend below the label of the horizontal axis."""
+    ax.legend(
+        handles=handles or ax.get_legend_handles_labels()[0], ncols=columns, loc="upper left",
+        bbox_to_anchor=(-0.05, -0.2), borderaxespad=0, borderpad=0, handlelength=1.4,
+    )  # fmt: skip
 
 
 def png(figure: Figure) -> bytes:

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -22,6 +21,8 @@ from miho.analysis.figures.house import (
     EndLabel,
     caption,
     draw_end_labels,
+    legend_below,
+    new_figure,
     time_label,
 )
 from miho.analysis.styles import MethodStyle, distinct, styles_of
@@ -29,7 +30,7 @@ from miho.analysis.text import number
 from miho.analysis.tidy import one_problem, shown_unit
 from miho.analysis.timing import clock_of
 from miho.analysis.variants import named_apart
-from miho.figures.style import WIDTH, house_style
+from miho.figures.style import BLUE, RED
 from miho.quantities import Array
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -72,10 +73,8 @@ def fig4(
     unknown = sorted((set(samples) | set(curves)) - set(TIRE_NAMES))
     if unknown:
         raise ValueError(f"tires {', '.join(unknown)} are unknown; expected LF, RF, LR or RR")
-    with house_style():
-        count = 2 if axle is None else 3
-        figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
-        panels = figure.subplots(1, count)
+    with new_figure(3.7) as figure:
+        panels = figure.subplots(1, 2 if axle is None else 3)
         panels[1].sharey(panels[0])
         for ax, tires, title in zip(panels, TIRE_PANELS, ("front", "rear"), strict=False):
             plot_tires(samples, curves, ax, tires=tires, errors=errors or {})
@@ -87,7 +86,6 @@ def fig4(
             panels[2].set_xlim(panels[0].get_xlim())
             panels[2].set_title("front axle, unseen drive", loc="left")
         caption(figure, note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -117,8 +115,7 @@ def plot_tires(
     Axes
         The panel.
     """
-    palette = sns.color_palette("colorblind")
-    for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=False):
+    for tire, color, dashes in zip(tires, (BLUE, RED), ("-", "--"), strict=False):
         label = TIRE_NAMES[tire]
         if tire in errors:
             label += f", error {errors[tire]:.2f} kN"
@@ -131,19 +128,9 @@ def plot_tires(
             alpha, force = curves[tire]
             ax.plot(alpha, force, dashes, color="white", linewidth=3.2, zorder=2)
             ax.plot(alpha, force, dashes, color=color, linewidth=1.8, label=label, zorder=3)
-            _legend_below(ax)
+            legend_below(ax)
     ax.set(xlabel="slip angle [deg]", ylabel="lateral force [kN]")
     return ax
-
-
-def _legend_below(ax: Axes) -> None:
-    ax.legend(
-        loc="upper left",
-        bbox_to_anchor=(-0.05, -0.2),
-        borderaxespad=0,
-        borderpad=0,
-        handlelength=1.4,
-    )
 
 
 def fig6(
@@ -192,8 +179,7 @@ def fig6(
     clock, styles = clock_of(runs), distinct(runs["optimizer"])
     band = f"grey: irreducible error, {low * factor:.2f} to {high * factor:.2f} {shown_in}"
     plot = partial(plot_error_over, unit=unit, irreducible=irreducible, styles=styles)
-    with house_style():
-        figure = Figure(figsize=(NARROW, 6.1), layout="constrained")
+    with new_figure(6.1, NARROW) as figure:
         above, below = figure.subplots(2, 1, sharey=True, height_ratios=[1.15, 1])
         # Above over time, for comparable runs; below over evaluations, for all runs.
         timed = curves[curves["id"].isin(clock.runs["id"])]
@@ -206,7 +192,7 @@ def fig6(
         plain_log_ticks(above)
         lines = "lines: mean over repetitions, bands: 10 to 90 %"
         disturbed = clock.note if wall else ""
-        caption(figure, lines, band if irreducible else "", disturbed, note, width=NARROW)
+        caption(figure, lines, band if irreducible else "", disturbed, note)
         draw_end_labels(above, _final_labels(runs, factor, styles), size=9)
     return figure
 
@@ -293,7 +279,6 @@ def plain_log_ticks(ax: Axes) -> None:
     ax.yaxis.set_minor_formatter(NullFormatter())
 
 
-COLORS = sns.color_palette("colorblind")
 MARGIN = 1.5
 """Range of slip angles of drawn curves, relative to the driving data."""
 
@@ -316,11 +301,9 @@ def fig4_right(data: Points, curves: Mapping[str, AxleCurve], *, note: str = "")
     `data` are slip angles [deg] and lateral forces [kN] of the axle, both tires, (n,) each; no
     curve was identified from them.
     """
-    with house_style():
-        figure = Figure(figsize=(4.6, 3.6), layout="constrained")
+    with new_figure(3.6, 4.6) as figure:
         plot_axle(data, curves, figure.subplots())
-        figure.supxlabel(note, fontsize=7, color="#444444", x=0.01, ha="left")
-        figure.draw_without_rendering()
+        caption(figure, note)
     return figure
 
 
@@ -328,8 +311,8 @@ def plot_axle(data: Points, curves: Mapping[str, AxleCurve], ax: Axes) -> Axes:
     """Driving data and curves of an axle, as in `fig4_right`."""
     alpha, force = data
     opacity = min(max(500 / alpha.size, 0.12), 0.5)
-    ax.scatter(alpha, force, s=4, color=COLORS[0], alpha=opacity, linewidths=0, rasterized=True)
-    for (name, curve), color in zip(curves.items(), (COLORS[3], "black"), strict=False):
+    ax.scatter(alpha, force, s=4, color=BLUE, alpha=opacity, linewidths=0, rasterized=True)
+    for (name, curve), color in zip(curves.items(), (RED, "black"), strict=False):
         at, forces = curve.points
         inside = (at >= curve.learned[0]) & (at <= curve.learned[1])
         label = f"{name}, error {curve.error:.2f} kN"
@@ -339,5 +322,5 @@ def plot_axle(data: Points, curves: Mapping[str, AxleCurve], ax: Axes) -> Axes:
     largest = 1.3 * float(np.abs(force).max())
     ax.set(xlim=(-reach, reach), ylim=(-largest, largest))
     ax.set(xlabel="slip angle [deg]", ylabel="lateral force, both tires [kN]")
-    _legend_below(ax)
+    legend_below(ax)
     return ax

@@ -9,9 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from miho.analysis.figures.driving import ALARM, AMBER, BLUE, DASHED, GREEN, KMH
-from miho.analysis.figures.house import caption
-from miho.figures.style import WIDTH, house_style
+from miho.analysis.figures.driving import ALARM, AMBER, DASHED, in_kmh
+from miho.analysis.figures.house import caption, legend_above, new_figure
+from miho.figures.style import BLUE, GREEN
 
 COLORS = {"the offline value": ALARM, "the tracker": BLUE, "the oracle": GREEN}
 """Colours of drivers by their source of the friction."""
@@ -52,7 +52,7 @@ def plot_parameter(
         ax.axvline(at, color=ALARM, linewidth=1.2, label=label)
     ax.margins(x=0)
     ax.set_ylabel(name.replace("_", " "))
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
+    legend_above(ax)
     return ax
 
 
@@ -60,8 +60,7 @@ def states_figure(
     states: pd.DataFrame, units: Mapping[str, str], alarms: Mapping[float, str]
 ) -> Figure:
     """A panel for each parameter in `units` over time; `alarms` are times [s] with their words."""
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * len(units)), layout="constrained")
+    with new_figure(0.8 + 1.5 * len(units)) as figure:
         panels = figure.subplots(len(units), 1, sharex=True, squeeze=False)[:, 0]
         for (name, unit), ax in zip(units.items(), panels, strict=True):
             plot_parameter(states, name, ax, alarms=list(alarms))
@@ -70,7 +69,6 @@ def states_figure(
                 ax.get_legend().remove()
         panels[-1].set_xlabel("time [s]")
         caption(figure, "; ".join(alarms.values()))
-        figure.draw_without_rendering()
     return figure
 
 
@@ -98,8 +96,7 @@ def grip_figure(
     Figure
         Three panels.
     """
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
+    with new_figure(5.4) as figure:
         grip, velocity, use = figure.subplots(3, 1, sharex=True)
         plot_parameter(states, "front_grip", grip, alarms=list(alarms))
         grip.set_ylabel("front grip,\nrelative [-]")
@@ -108,18 +105,16 @@ def grip_figure(
             velocity.plot(lap["time"], lap["vx"], **style)
             use.plot(lap["time"], lap["use"], **style)
         velocity.set_ylabel("velocity\n[m/s]")
-        right = velocity.secondary_yaxis("right", functions=(lambda v: KMH * v, lambda v: v / KMH))
-        right.set_ylabel("[km/h]")
+        in_kmh(velocity)
         use.axhline(1.0, color="black", linewidth=0.8, linestyle=DASHED, label="limit")
         use.set(ylabel="use of the true\nfriction [-]", ylim=(0, 1.2), xlabel="time [s]")
         for ax in (velocity, use):
             ax.margins(x=0)
-            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
+            legend_above(ax)
         for ax in (grip, velocity, use):
             ax.axvline(fall, color="#888888", linewidth=0.9, linestyle=":")
         words = "; ".join(alarms.values())
         caption(figure, f"dotted: the grip falls; red line: alarm, {words}", note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -134,8 +129,7 @@ SCORES = {
 def scores_figure(scores: pd.DataFrame) -> Figure:
     """A panel per score of `SCORES`: seeds as light points, medians as dark ones, per tracker."""
     trackers = scores.groupby("tracker")["error"].median().sort_values().index.tolist()
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 1.2 + 0.32 * len(trackers)), layout="constrained")
+    with new_figure(1.2 + 0.32 * len(trackers)) as figure:
         panels = figure.subplots(1, len(SCORES), sharey=True)
         for ax, (column, (label, factor)) in zip(panels, SCORES.items(), strict=True):
             for line, tracker in enumerate(trackers):
@@ -149,5 +143,4 @@ def scores_figure(scores: pd.DataFrame) -> Figure:
         panels[0].set_yticks(range(len(trackers)), trackers)
         panels[0].set_ylim(len(trackers) - 0.5, -0.5)
         caption(figure, "light points: seeds; dark: median; no point: never")
-        figure.draw_without_rendering()
     return figure
