@@ -39,7 +39,7 @@ $(INSTALLED): pyproject.toml setup.py constraints.txt $(wildcard miho/core/*.c m
 	@$(PYTHON) -m venv $(VENV)
 	@echo "$(VENV): NumPy, SciPy, Numba and pandas, which take most of the room"
 	@$(PIP) numpy scipy numba pandas setuptools
-	@echo "$(VENV): seaborn, Hydra, Optuna and what else MIHO is run with"
+	@echo "$(VENV): matplotlib, Hydra, Optuna and what else MIHO is run with"
 	@$(PIP) --editable '.[experiments]'
 	@$(BIN)/python -m compileall -q miho baselines experiments
 	@$(SIZE)

@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from miho.analysis.tidy import require_columns
-from miho.figures.style import WIDTH, house_style
+from miho.figures.style import COLORS, WIDTH, house_style
 
-COLOURS = sns.color_palette("colorblind").as_hex()
 DASHES = ("solid", (0, (4, 1.5)), (0, (1, 1.2)), "dashdot")
 MARKERS = ("o", "s", "^", "D")
 GREY = "#777777"
@@ -76,7 +74,7 @@ def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
 def _look(k: int) -> dict[str, Any]:
     """Colour, dashes and marker, so that lines also differ in print without colours."""
     return {
-        "color": COLOURS[k % len(COLOURS)],
+        "color": COLORS[k % len(COLORS)],
         "linestyle": DASHES[k % len(DASHES)],
         "marker": MARKERS[k % len(MARKERS)],
         "markersize": 3.5,
