@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from miho.quantities import Array
@@ -17,29 +18,15 @@ SHOWN = 3
 
 
 @dataclass(frozen=True)
-class ColumnSummary:
-    """Name, unit, smallest and largest number, and first numbers of a column."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    first: tuple[float, ...]
-
-    @classmethod
-    def of(cls, name: str, unit: str, values: Array) -> ColumnSummary:
-        """Summarize a column (N,)."""
-        first = tuple(float(value) for value in values[:SHOWN])
-        return cls(name, unit, float(values.min()), float(values.max()), first)
-
-
-@dataclass(frozen=True)
 class Reading:
-    """The columns of a file in its names, units and signs, and notes on how it was read."""
+    """The columns of a file in its names, units and signs, as text, and notes on its reading.
+
+    The text of a column has its name, unit, smallest and largest number, and first numbers.
+    """
 
     path: str
     rows: int
-    columns: tuple[ColumnSummary, ...]
+    columns: tuple[list[str], ...]
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -47,11 +34,8 @@ class Reading:
         cls, path: str, numbers: Mapping[str, Array], units: Sequence[str], notes: Sequence[str]
     ) -> Reading:
         """Describe columns (N,) with their units."""
-        columns = tuple(
-            ColumnSummary.of(name, unit, values)
-            for (name, values), unit in zip(numbers.items(), units, strict=True)
-        )
-        return cls(path, next(iter(numbers.values())).size, columns, tuple(notes))
+        columns = map(_summary, numbers, units, numbers.values())
+        return cls(path, next(iter(numbers.values())).size, tuple(columns), tuple(notes))
 
 
 def preview(dataset: Dataset) -> str | None:
@@ -60,18 +44,12 @@ def preview(dataset: Dataset) -> str | None:
     if reading is None:
         return None
     notes = f" ({'; '.join(reading.notes)})" if reading.notes else ""
-    units = dataset.units
-    summaries = [
-        ColumnSummary.of(name, units[name], values) for name, values in dataset.columns.items()
-    ]
-    if summaries == list(reading.columns):
-        summaries, heading = [], "used as they are"
-    else:
-        heading = "used, in SI units and ISO signs"
+    used = [_summary(name, dataset.units[name], dataset[name]) for name in dataset.columns]
+    heading = "used, in SI units and ISO signs"
+    if used == list(reading.columns):
+        used, heading = [], "used as they are"
     held = f", {len(dataset.held_out)} more held out" if dataset.held_out is not None else ""
-    cells = [_cells(column) for column in (*reading.columns, *summaries)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [_aligned(row, widths) for row in cells]
+    lines = _aligned([*reading.columns, *used])
     count = len(reading.columns)
     return "\n".join(
         [
@@ -83,14 +61,15 @@ def preview(dataset: Dataset) -> str | None:
     )
 
 
-def _cells(column: ColumnSummary) -> list[str]:
-    numbers = (column.low, column.high, *column.first)
-    texts = [f"{value:.5g}" for value in numbers] + [""] * (SHOWN - len(column.first))
-    return [column.name, column.unit, texts[0], "to", texts[1], "|", *texts[2:]]
+def _summary(name: str, unit: str, values: Array) -> list[str]:
+    low, high, *first = (f"{value:.5g}" for value in (values.min(), values.max(), *values[:SHOWN]))
+    return [name, unit, low, "to", high, "|", *first]
 
 
-def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
-    """Align name and unit to the left, numbers to the right."""
-    name, unit, *numbers = zip(row, widths, strict=True)
-    texts = [text.ljust(width) for text, width in (name, unit)]
-    return "  ".join(["", *texts, *(text.rjust(width) for text, width in numbers)]).rstrip()
+def _aligned(rows: Sequence[list[str]]) -> list[str]:
+    """Lines with names and units aligned to the left, numbers to the right."""
+    columns = []
+    for number, cells in enumerate(zip_longest(*rows, fillvalue="")):
+        width = max(map(len, cells))
+        columns.append([cell.ljust(width) if number < 2 else cell.rjust(width) for cell in cells])
+    return ["  ".join(["", *line]).rstrip() for line in zip(*columns, strict=True)]

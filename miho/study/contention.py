@@ -133,12 +133,7 @@ class Timing:
 
     def as_dict(self) -> dict[str, Any]:
         """Values for a JSON file."""
-        values = {name: value for name, value in vars(self).items() if name != "reasons"}
-        plain = {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in values.items()
-        }
-        return {"valid": self.valid, "reasons": list(self.reasons), **plain}
+        return {"valid": self.valid, **vars(self)}
 
 
 class Stamp:

@@ -193,28 +193,18 @@ def _run_row(folder: str, result: Mapping[str, Any]) -> dict[str, Any]:
     facts: Mapping[str, Any] = result["facts"]
     names = _theta_names(*(parameter["name"] for parameter in result["parameters"]))
     theta = result["theta"] or [math.nan] * len(names)
-    row = {
-        "id": result["id"],
-        "problem": result["problem"],
-        "optimizer": result["optimizer"],
-        "seed": result["seed"],
-        "outcome": result["outcome"],
+    row = {name: result[name] for name in RUN_COLUMNS if name in result}
+    row |= {name: facts.get(name, math.nan) for name in RUN_COLUMNS if "irreducible" in name}
+    row |= {
         "error": error_of(result["loss"]),
         "unit": facts.get("unit"),
-        "evaluations": result["evaluations"],
-        "seconds": result["seconds"],
-        "cpu_seconds": result["cpu_seconds"],
-        "setup_seconds": result["setup_seconds"],
-        "irreducible": facts.get("irreducible", math.nan),
-        "irreducible_low": facts.get("irreducible_low", math.nan),
-        "irreducible_high": facts.get("irreducible_high", math.nan),
         "optimum": error_of(facts.get("optimum")),
         "dimension": len(names),
         "timing_valid": facts.get("timing_valid"),
         "folder": folder,
     }
-    row.update(zip(names, theta, strict=True))
-    return row
+    thetas = zip(names, theta, strict=True)
+    return {name: row[name] for name in RUN_COLUMNS} | dict(thetas)
 
 
 @lru_cache

@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,16 +30,24 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
     """Write the settings of a sweep's runs, given by overrides and identity."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
-    parts, configs, entries = _DistinctValues(), _DistinctValues(), {}
+    parts: dict[str, int] = {}  # numbers by the text of each distinct value
+    configs: dict[str, int] = {}
     numbers: dict[int, int] = {}  # by the configuration object, which all seeds share
+    entries = {}
     for words, identity in runs.items():
         if id(identity.config) not in numbers:
-            config = {name: parts.number(part) for name, part in identity.config.items()}
-            numbers[id(identity.config)] = configs.number(config)
+            config = {name: _number(part, parts) for name, part in identity.config.items()}
+            numbers[id(identity.config)] = _number(config, configs)
         place = [identity.problem, identity.optimizer, identity.id]
         entries[words] = {"place": place, "config": numbers[id(identity.config)]}
-    about = {"parts": parts.values, "configs": configs.values, "runs": entries}
-    write_text(path, canonical({"overrides": list(overrides), **about}) + "\n")
+    values = {"parts": [*map(json.loads, parts)], "configs": [*map(json.loads, configs)]}
+    about = {"overrides": list(overrides), **values, "runs": entries}
+    write_text(path, canonical(about) + "\n")
+
+
+def _number(value: Any, numbers: dict[str, int]) -> int:
+    """The number of this value or an equal one among distinct values."""
+    return numbers.setdefault(canonical(value), len(numbers))
 
 
 def sweep_overrides(root: Path) -> list[list[str]]:
@@ -123,21 +130,6 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
         }
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return {}
-
-
-@dataclass
-class _DistinctValues:
-    """Distinct values, numbered in order of addition."""
-
-    values: list[Any] = field(default_factory=list)
-    numbers: dict[str, int] = field(default_factory=dict)
-
-    def number(self, value: Any) -> int:
-        """The number of this value or an equal one."""
-        number = self.numbers.setdefault(canonical(value), len(self.values))
-        if number == len(self.values):
-            self.values.append(value)
-        return number
 
 
 def _differing_keys(old: Any, new: Any, key: str = "") -> Iterator[str]:

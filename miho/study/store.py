@@ -284,19 +284,15 @@ def _curve(record: RunRecord) -> dict[str, list[Any]]:
     end = len(trace) - 1
     if rows and rows[-1] != end:
         rows.append(end)
+    names = ("evaluations", "seconds", "cpu_seconds", "loss")
     curve: dict[str, list[Any]] = {
-        "evaluations": [trace.evaluations[row] for row in rows],
-        "seconds": [trace.seconds[row] for row in rows],
-        "cpu_seconds": [trace.cpu_seconds[row] for row in rows],
-        "loss": [trace.loss[row] for row in rows],
-        "theta": [trace.theta[row].tolist() for row in rows],
+        name: [getattr(trace, name)[row] for row in rows] for name in names
     }
+    curve["theta"] = [trace.theta[row].tolist() for row in rows]
     # A run continues after its last improvement: one more row marks its end.
     if rows and record.evaluations > trace.evaluations[end]:
-        curve["evaluations"].append(record.evaluations)
-        curve["seconds"].append(record.seconds)
-        curve["cpu_seconds"].append(record.cpu_seconds)
-        curve["loss"].append(record.loss)
+        for name in names:
+            curve[name].append(getattr(record, name))
         curve["theta"].append(curve["theta"][-1])
     return curve
 

@@ -108,7 +108,8 @@ def test_it_goes_into_a_json_file() -> None:
         pass
     timing = stamp.judge(0.0, 0.0)
     read = json.loads(json.dumps(timing.as_dict(), allow_nan=False))
-    assert read == timing.as_dict()
+    assert read["reasons"] == list(timing.reasons)
+    assert read["kernel"] == list(timing.kernel)
     assert set(read["threads"]) <= {1}
     assert read["valid"] == (not read["reasons"])
     assert set(read) >= {"load", "others", "interruptions", "cpu_share", "kernel"}

@@ -134,13 +134,8 @@ class Interval:
 
     def scaled(self, factor: float) -> Interval:
         """The interval in another unit."""
-        return Interval(
-            self.estimate * factor,
-            self.low * factor,
-            self.high * factor,
-            self.at_most * factor,
-            self.censored,
-        )
+        low, high = self.low * factor, self.high * factor
+        return Interval(self.estimate * factor, low, high, self.at_most * factor, self.censored)
 
 
 def mean_error(errors: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> Interval:

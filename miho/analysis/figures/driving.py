@@ -102,8 +102,8 @@ def fig8(
     with new_figure(7.2) as figure:
         panels = figure.subplots(5, 1, sharex=True)
         position, heading, velocity, error, pedals = panels
-        plot_error(log, "e_y", 1.0, "position\nerror [m]", position)
-        plot_error(log, "e_psi", 180 / math.pi, "heading\nerror [deg]", heading)
+        plot_error(log, log["e_y"], "position\nerror [m]", position)
+        plot_error(log, np.degrees(log["e_psi"]), "heading\nerror [deg]", heading)
         plot_velocity(log, velocity, over="distance")
         plot_velocity_error(log, error)
         plot_pedals(log, pedals)
@@ -172,9 +172,16 @@ def plot_use(log: pd.DataFrame, ax: Axes) -> Axes:
     return ax
 
 
-def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Axes) -> Axes:
-    """A column times a factor over the distance [km], with its largest magnitude as a label."""
-    return _error(log, factor * log[column], label, ax)
+def plot_error(log: pd.DataFrame, values: pd.Series[float], label: str, ax: Axes) -> Axes:
+    """Values over the distance [km], with their largest magnitude as a label."""
+    ax.plot(log["distance"] / 1000, values, color=BLUE, linewidth=0.9)
+    ax.axhline(0.0, color="black", linewidth=0.6)
+    largest = float(values.abs().max())
+    ax.set_ylim(-1.45 * largest, 1.45 * largest)
+    unit = label.split("[")[1].rstrip("]")
+    ax.set_title(f"largest {largest:.2f} {unit}", loc="right", pad=2, fontsize=8)
+    ax.set_ylabel(label)
+    return ax
 
 
 def plot_velocity_error(log: pd.DataFrame, ax: Axes) -> Axes:
@@ -185,7 +192,7 @@ def plot_velocity_error(log: pd.DataFrame, ax: Axes) -> Axes:
             log["distance"] / 1000, 0, 1, where=inside, transform=ax.get_xaxis_transform(),
             color=color, linewidth=0, label=name, zorder=0.5,
         )  # fmt: skip
-    _error(log, log["vx"] - log["v_des"], "velocity\nerror [m/s]", ax)
+    plot_error(log, log["vx"] - log["v_des"], "velocity\nerror [m/s]", ax)
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=2, borderpad=0.1)
     return ax
 
@@ -197,17 +204,6 @@ def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
     ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=1.2, label="brake [bar]")
     ax.set(ylabel="throttle [%],\nbrake [bar]", ylim=(0, 105))
     legend_above(ax)
-    return ax
-
-
-def _error(log: pd.DataFrame, values: pd.Series[float], label: str, ax: Axes) -> Axes:
-    ax.plot(log["distance"] / 1000, values, color=BLUE, linewidth=0.9)
-    ax.axhline(0.0, color="black", linewidth=0.6)
-    largest = float(values.abs().max())
-    ax.set_ylim(-1.45 * largest, 1.45 * largest)
-    unit = label.split("[")[1].rstrip("]")
-    ax.set_title(f"largest {largest:.2f} {unit}", loc="right", pad=2, fontsize=8)
-    ax.set_ylabel(label)
     return ax
 
 
