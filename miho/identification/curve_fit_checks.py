@@ -179,7 +179,7 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
         evaluated = model.passed("finite", check, thetas, *problem.inputs)
     else:
         evaluated = check()
-    by_formula = isinstance(model, FunctionFormula) and not model.function.linear
+    by_formula = isinstance(model, FunctionFormula) and not model.model.linear
     if evaluated and model.linear and not by_formula:
         from miho.identification.trial_calls import check_linear
 

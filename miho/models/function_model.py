@@ -27,7 +27,7 @@ from miho.models.function_calls import (
     may_catch,
     tried_rowwise,
 )
-from miho.models.model import DifferencedModel, Model
+from miho.models.model import DifferencedModel, Model, Wrapper
 from miho.models.symbolic import (
     NotAFormulaError,
     Symbol,
@@ -333,18 +333,18 @@ def _literal(text: str) -> Any:
 
 
 @dataclass(frozen=True)
-class FunctionFormula(TracedExpression):
+class FunctionFormula(Wrapper, TracedExpression):
     """A traced function, which consists of arithmetic and NumPy's elementwise functions.
 
     Its derivatives are exact and its loss has fast forms. The trace also finds the parameters in
     which the output is jointly linear, unless the function model declares them.
     """
 
-    function: FunctionModel
+    model: FunctionModel
 
     def with_numbers(self) -> FunctionModel:
         """Return the function itself, called with numbers."""
-        return self.function.by_numbers
+        return self.model.by_numbers
 
     def passed(self, name: str, check: Callable[[], bool], *arrays: Array) -> bool:
         """Return whether the formula passes a check that depends on these arrays alone.
@@ -353,7 +353,7 @@ class FunctionFormula(TracedExpression):
         result of a fit is compared with the function in any case.
         """
         try:
-            known = PASSED.setdefault(self.function.function, set())
+            known = PASSED.setdefault(self.model.function, set())
         except TypeError:  # an object without a hash or weak references
             return check()
         if sum(array.nbytes for array in arrays) > LARGEST:
@@ -371,42 +371,15 @@ class FunctionFormula(TracedExpression):
     def graph(self) -> Symbol:
         """Graph of the function's result; raises NotAFormulaError if it cannot be traced."""
         named = dict(zip(self.parameters, self.arguments, strict=True))
-        if self.function.columns:
+        if self.model.columns:
             named |= dict(zip(self.inputs, self.columns, strict=True))
-            return trace(self.function.function, **named)
-        return trace(self.function.function, *self.columns, **named)
+            return trace(self.model.function, **named)
+        return trace(self.model.function, *self.columns, **named)
 
     @cached_property
     def linear(self) -> tuple[str, ...]:
         """The declared linear parameters, otherwise the ones found by the trace."""
-        if self.function.linear:
-            return self.function.linear
-        return self.jointly_linear
-
-    @property
-    def inputs(self) -> Mapping[str, str]:
-        """Units by name."""
-        return self.function.inputs
-
-    @property
-    def parameters(self) -> Mapping[str, str]:
-        """Units by name."""
-        return self.function.parameters
-
-    @property
-    def output(self) -> str:
-        """The unit of the result."""
-        return self.function.output
-
-    @property
-    def name(self) -> str:
-        """The function's name."""
-        return self.function.name
-
-    @property
-    def source(self) -> Path | None:
-        """File of the function."""
-        return self.function.source
+        return self.model.linear or self.jointly_linear
 
 
 def line_in(error: BaseException, file: str) -> int | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from miho.models.expression import Expression
 from miho.models.layout import OUTPUT, PART
-from miho.models.model import Model
+from miho.models.model import Model, Wrapper
 from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
@@ -158,35 +158,26 @@ class JointModel(Model):
 
 
 @dataclass(frozen=True)
-class JointExpression(TracedExpression):
+class JointExpression(Wrapper, TracedExpression):
     """A joint model with one expression for all parts; the part's number selects parameters.
 
     The machine can run it, and NumPy evaluates it faster than part by part.
     """
 
-    joint: JointModel
+    model: JointModel
     expression: Expression
-    inputs: Mapping[str, str] = field(init=False)
-    parameters: Mapping[str, str] = field(init=False)
-    output: str = field(init=False)
-    linear: tuple[str, ...] = field(init=False)
-    name: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        for key in ("inputs", "parameters", "output", "linear", "name"):
-            object.__setattr__(self, key, getattr(self.joint, key))
 
     def with_numbers(self) -> Model:
         """Return the joint model of parts with functions called with numbers."""
-        called = self.joint.with_numbers()
-        return self if called is self.joint else called
+        called = self.model.with_numbers()
+        return self if called is self.model else called
 
     @cached_property
     def graph(self) -> Symbol:
         """Graph of the output; raises NotAFormulaError if the expression cannot be traced."""
         index, *columns = self.columns
         symbols = dict(zip(self.parameters, self.arguments, strict=True))
-        count = range(len(self.joint.parts))
+        count = range(len(self.model.parts))
         chosen = [operation("maximum", 0.0, 1 - abs(index - k)) for k in count]  # 1 in part k, or 0
 
         def selected(names: tuple[str, ...]) -> Symbol:
@@ -196,7 +187,7 @@ class JointExpression(TracedExpression):
             total: Symbol = reduce(operator.add, terms)
             return total
 
-        names = zip(*(part.parameters for part in self.joint.parts), strict=True)
+        names = zip(*(part.parameters for part in self.model.parts), strict=True)
         return trace(self.expression.value, tuple(columns), tuple(map(selected, names)))
 
 
@@ -214,7 +205,7 @@ def joined(model: JointModel) -> Model:
 def parts_of(model: Model) -> tuple[JointPart, ...]:
     """Return the parts of a joint model, which may be an expression or tied; () for others."""
     whole = model.whole
-    whole = whole.joint if isinstance(whole, JointExpression) else whole
+    whole = whole.model if isinstance(whole, JointExpression) else whole
     return whole.parts if isinstance(whole, JointModel) else ()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, final
@@ -179,17 +180,64 @@ class Model(ABC):
         return []
 
 
+class Wrapper(Model):
+    """Base class of a model made of another one, `model`, whose attributes it has.
+
+    A subclass declares the attributes that differ. Whether the rows need their order, the cost of
+    derivatives, defaults and derived quantities are not inherited.
+    """
+
+    model: Model
+
+    @cached_property
+    def inputs(self) -> Mapping[str, str]:
+        """Units of the input columns."""
+        return self.model.inputs
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Units of the parameters."""
+        return self.model.parameters
+
+    @property
+    def output(self) -> str:
+        """Unit of the output."""
+        return self.model.output
+
+    @cached_property
+    def linear(self) -> tuple[str, ...]:
+        """Parameters in which the output is jointly linear."""
+        return self.model.linear
+
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+        return self.model.name
+
+    @property
+    def source(self) -> Path | None:
+        """File of the model."""
+        return self.model.source
+
+    @property
+    def nominal(self) -> Mapping[str, tuple[str, float]]:
+        """Reference points of the model."""
+        return self.model.nominal
+
+
 class DifferencedModel(Model):
     """A model with derivatives by `central_differences`, which need 2 d evaluations."""
 
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Return the derivatives of the outputs, (N, d), to about 1e-10 in smooth models."""
+        """Return the derivatives of the outputs (N, d), by `differences`."""
         return self.differences(self.predict, theta, *inputs)
 
-    @final
     def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
-        """Return the derivatives from outputs that `predict` computes or looks up."""
+        """Return the derivatives from outputs that `predict` computes or looks up.
+
+        Their error is about 1e-10 in smooth models.
+        """
         return central_differences(predict, theta, *inputs)
 
     @property
@@ -198,12 +246,13 @@ class DifferencedModel(Model):
         return 2 * len(self.parameters)
 
 
-class ExternalModel(Model):
+class ExternalModel(DifferencedModel):
     """An external simulation with few exact digits: differences use a wide relative `step`.
 
     The step is relative to the parameter, or to its entry of `typical` if the parameter is 0. A
     relative error e of the simulation gives derivatives with a relative error of about e / step:
-    six digits and a step of 1e-3 leave an error of about 1e-3.
+    six digits and a step of 1e-3 leave an error of about 1e-3. Next to a failed simulation,
+    differences are one-sided and need a simulation at the point itself.
     """
 
     step: float
@@ -215,21 +264,11 @@ class ExternalModel(Model):
         return np.ones(len(self.parameters))
 
     @final
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Return derivatives (N, d) by central differences, or one-sided ones next to a failure."""
-        return self.differences(self.predict, theta, *inputs)
-
-    @final
     def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
         """Return the derivatives from outputs that `predict` computes or looks up."""
         h = self.step * np.where(theta == 0, self.typical, np.abs(theta))
         high, low, sides = _two_sided(predict, theta, np.diag(h), *inputs)
         return np.asarray(((high - low) / (sides * h)[:, None]).T)
-
-    @property
-    def jacobian_cost(self) -> int:
-        """Two simulations per parameter; a failed one adds a simulation at the point itself."""
-        return 2 * len(self.parameters)
 
 
 def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array:

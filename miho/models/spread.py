@@ -10,17 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.models.derived import Derived
-from miho.models.model import DifferencedModel, ExternalModel, Model
+from miho.models.model import DifferencedModel, Model, Wrapper
 from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluated, Evaluations
 
-DECLARED = ("inputs", "parameters", "output", "linear", "name", "source", "ordered", "nominal")
-"""Attributes of the model that the wrapper has too."""
 
-
-class SpreadModel(Model):
+class SpreadModel(Wrapper):
     """A model whose parameter rows are evaluated by `evaluations`.
 
     Differences are computed in this process, from outputs of the workers. Analytic derivatives are
@@ -35,11 +32,15 @@ class SpreadModel(Model):
         place: str,
         losses: Callable[[Array], Array] | None = None,
     ) -> None:
-        vars(self).update({name: getattr(model, name) for name in DECLARED})
         self.model, self._evaluations, self._place = model, evaluations, place
         self._losses = losses
         self._tasks: dict[tuple[str, bytes], Evaluated] = {}
         self._digests: dict[tuple[int, ...], tuple[tuple[Array, ...], bytes]] = {}
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the model is ordered."""
+        return self.model.ordered
 
     @property
     def jacobian_cost(self) -> int | None:
@@ -58,7 +59,7 @@ class SpreadModel(Model):
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Return the derivatives of the outputs, (N, d)."""
-        if isinstance(self.model, DifferencedModel | ExternalModel):
+        if isinstance(self.model, DifferencedModel):
             return np.asarray(self.model.differences(self.predict, theta, *inputs))
         if self._evaluations.resting():
             return np.asarray(self.model.jacobian(theta, *inputs))

@@ -12,14 +12,13 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from miho.models.expression import Expression
 from miho.models.formula_text import written
-from miho.models.model import Model
+from miho.models.model import Model, Wrapper
 from miho.models.symbolic import (
     NotAFormulaError,
     Symbol,
@@ -250,15 +249,15 @@ def tie(model: Model, ties: Ties) -> Model:
     return TiedModel(model, ties)
 
 
-class _Tied(Remade, Model):
-    """Properties that both kinds of tied models take from the model of all parameters."""
+class Tied(Remade, Wrapper):
+    """Base class of models of the free parameters only."""
 
-    model: Any
     ties: Ties
 
     @property
     def whole(self) -> Model:
-        return self.model  # type: ignore[no-any-return]
+        """The model of all parameters."""
+        return self.model
 
     def with_numbers(self) -> Model:
         """Return the tied model with functions called with numbers."""
@@ -266,42 +265,28 @@ class _Tied(Remade, Model):
         return self if called is self.model else TiedModel(called, self.ties)
 
     @property
-    def inputs(self) -> Mapping[str, str]:
-        return self.model.inputs  # type: ignore[no-any-return]
-
-    @property
     def parameters(self) -> Mapping[str, str]:
+        """Units of the free parameters."""
         return self.ties.free
-
-    @property
-    def output(self) -> str:
-        return self.model.output  # type: ignore[no-any-return]
 
     @cached_property
     def linear(self) -> tuple[str, ...]:
+        """Free parameters in which the output is jointly linear."""
         return self.ties.linear(self.model.linear)
 
     @property
     def name(self) -> str:
+        """Name or class of the model."""
         return self.model.name or type(self.model).__name__.lower()
-
-    @property
-    def source(self) -> Path | None:
-        return self.model.source  # type: ignore[no-any-return]
-
-    @property
-    def nominal(self) -> Mapping[str, tuple[str, float]]:
-        return self.model.nominal  # type: ignore[no-any-return]
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
         """Return the remarks of the model of all parameters."""
-        whole = self.ties.whole(theta[None])[0]
-        return self.model.remarks(whole, noise, *inputs)  # type: ignore[no-any-return]
+        return self.model.remarks(self.ties.whole(theta[None])[0], noise, *inputs)
 
 
 @dataclass(frozen=True)
-class TiedModel(_Tied):
-    """A model of the free parameters only."""
+class TiedModel(Tied):
+    """Any model of the free parameters only."""
 
     model: Model
     ties: Ties
@@ -336,7 +321,7 @@ class TiedModel(_Tied):
 
 
 @dataclass(frozen=True)
-class TiedExpression(_Tied, TracedExpression):
+class TiedExpression(Tied, TracedExpression):
     """An expression of the free parameters only."""
 
     model: Expression
@@ -348,10 +333,6 @@ class TiedExpression(_Tied, TracedExpression):
         parameters = self.ties.graphs[: len(self.ties.parameters)]
         output = trace(self.model.value, self.columns, parameters)
         return output if self.ties.wall is None else Symbol("add", output, self.ties.wall)
-
-
-Tied = TiedModel | TiedExpression
-"""Types of models with tied parameters."""
 
 
 def parsed(

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from miho.models.expression import Expression
-from miho.models.model import Model
+from miho.models.model import Model, Wrapper
 from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
@@ -30,36 +30,15 @@ def weighted(model: Model) -> Model:
     return WeightedModel(model)
 
 
-class WithInput(Model):
-    """Properties that a model of one more input, `added`, takes from its `model`."""
+class WithInput(Wrapper):
+    """Base class of a model with one more input, `added`, than its `model`."""
 
-    model: Model
     added: ClassVar[str] = WEIGHT
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:
         """The model's inputs and the added one, which has no unit."""
         return {**self.model.inputs, self.added: "-"}
-
-    @property
-    def parameters(self) -> Mapping[str, str]:
-        """Units by name."""
-        return self.model.parameters
-
-    @property
-    def output(self) -> str:
-        """Unit of the result."""
-        return self.model.output
-
-    @property
-    def linear(self) -> tuple[str, ...]:
-        """Parameters in which the output is jointly linear."""
-        return self.model.linear
-
-    @property
-    def name(self) -> str:
-        """The model's name."""
-        return self.model.name
 
 
 @dataclass(frozen=True)
