@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from miho.models.formula_text import written
+from miho.models.formula_text import formula_from, written
 from miho.models.symbolic import Symbol, argument, constant, gradient
-from miho.models.tied import parsed
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
@@ -71,7 +70,7 @@ def _form(space: Space, text: str) -> Form:
     for place, parameter in zip(places, space.parameters, strict=True):
         fixed = parameter.fixed
         symbols[parameter.name] = argument(place) if fixed is None else constant(fixed)
-    graph = parsed(text, "constraints", symbols, symbols.__getitem__)
+    graph = formula_from(text, "constraints", symbols, symbols.__getitem__)
     slopes = [slope.number for slope in gradient(graph, [argument(place) for place in places])]
     if None in slopes or not np.isfinite(np.array(slopes, dtype=float)).all():
         raise ValueError(f"constraints: {text!r} is not linear; tie a parameter to others instead")

@@ -25,7 +25,8 @@ from miho.identification.constraint_text import (
     share_of_range,
     stated_in,
 )
-from miho.models.tied import LONGEST, Ties
+from miho.models.formula_text import LONGEST
+from miho.models.tied import Ties
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.radial_map import RadialMap

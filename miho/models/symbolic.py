@@ -367,28 +367,6 @@ def _product(adjoint: Any, partial: Any) -> Any:
     return 0.0 if 0 in (_symbol(adjoint).number, _symbol(partial).number) else adjoint * partial
 
 
-def jointly_linear(
-    result: Symbol, variables: Sequence[Symbol], slopes: Sequence[Symbol]
-) -> list[int]:
-    """Return the positions of variables in which a result is jointly linear.
-
-    Variables are added in their order while the result stays jointly linear. `slopes` are the
-    derivatives by the variables.
-    """
-    positions: list[int] = []
-    dependence = [arguments_of([slope]) for slope in slopes]
-    names = [variable.arguments[0] for variable in variables]
-    used = arguments_of([result]) - arguments_of(
-        s for s in ordered([result]) if s.operation in BENDS
-    )  # without variables in conditions and kinks, which have constant derivatives on both sides
-    for k, name in enumerate(names):
-        others = [names[i] for i in positions]
-        bent = any(name in dependence[i] for i in positions)
-        if name in used and not bent and dependence[k].isdisjoint([name, *others]):
-            positions.append(k)
-    return positions
-
-
 def arguments_of(results: Iterable[Symbol]) -> set[str]:
     """Return the names of the arguments of results."""
     return {s.arguments[0] for s in ordered(results) if s.operation == ARGUMENT}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,15 @@ from weakref import WeakKeyDictionary
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
 from miho.models.formula_text import written
-from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, jointly_linear
+from miho.models.symbolic import (
+    BENDS,
+    NotAFormulaError,
+    Symbol,
+    argument,
+    arguments_of,
+    gradient,
+    ordered,
+)
 
 Known = tuple[Formula, tuple[int, ...]]
 KNOWN: WeakKeyDictionary[Formula, Known] = WeakKeyDictionary()
@@ -87,3 +95,25 @@ class TracedExpression(Remade, Expression):
         groups = {"inputs": self.columns, "theta": self.arguments}
         signature = {key: [s.arguments[0] for s in symbols] for key, symbols in groups.items()}
         return written(name, signature, results, single)
+
+
+def jointly_linear(
+    result: Symbol, variables: Sequence[Symbol], slopes: Sequence[Symbol]
+) -> list[int]:
+    """Return the positions of variables in which a result is jointly linear.
+
+    Variables are added in their order while the result stays jointly linear. `slopes` are the
+    derivatives by the variables.
+    """
+    positions: list[int] = []
+    dependence = [arguments_of([slope]) for slope in slopes]
+    names = [variable.arguments[0] for variable in variables]
+    used = arguments_of([result]) - arguments_of(
+        s for s in ordered([result]) if s.operation in BENDS
+    )  # without variables in conditions and kinks, which have constant derivatives on both sides
+    for k, name in enumerate(names):
+        others = [names[i] for i in positions]
+        bent = any(name in dependence[i] for i in positions)
+        if name in used and not bent and dependence[k].isdisjoint([name, *others]):
+            positions.append(k)
+    return positions

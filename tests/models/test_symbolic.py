@@ -14,14 +14,8 @@ from miho.models.expression import Expression
 from miho.models.formula_text import written
 from miho.models.function_model import FunctionModel
 from miho.models.model import central_differences
-from miho.models.symbolic import (
-    NotAFormulaError,
-    argument,
-    gradient,
-    jointly_linear,
-    ordered,
-    trace,
-)
+from miho.models.symbolic import NotAFormulaError, argument, gradient, ordered, trace
+from miho.models.traced import jointly_linear
 
 needs_machine = pytest.mark.skipif(machine() is None, reason="the machine was not built")
 t = np.linspace(0.0, 3.0, 31)
