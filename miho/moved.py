@@ -57,7 +57,14 @@ PARTS_OF_ORACLE = {
     "record_dropped": "starts.dropped += 1",
     "record_screened": "starts.screened += n",
     "agreement": "starts.agreement(oracle.best)",
-}
+    "remaining_seconds": "budget.seconds - oracle.seconds",
+} | {
+    name: f"traits.{name}"
+    for name in (
+        "cost", "jacobian_cost", "kernel", "linear", "noise", "order", "resolution", "rounding",
+        "rows",
+    )
+}  # fmt: skip
 """Present places of members of an oracle, by former names."""
 SETTINGS = {
     "rows": "rows_per_parameter",

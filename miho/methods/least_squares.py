@@ -121,9 +121,10 @@ def screening_losses(oracle: Oracle, thetas: Array) -> Array:
     most = len(thetas)
     if math.isfinite(oracle.remaining):
         most = min(most, max(1, int(SCREENING * oracle.remaining)))
-    until = oracle.seconds + SCREENING * oracle.remaining_seconds
-    if math.isinf(until):
+    seconds = oracle.budget.seconds
+    if seconds is None:
         return oracle(thetas[:most])
+    until = oracle.seconds + SCREENING * (seconds - oracle.seconds)
     losses, started = oracle(thetas[:1]), oracle.seconds
     while losses.size < most and oracle.seconds < until:
         in_time = (until - oracle.seconds) / max(oracle.seconds - started, TICK) * losses.size

@@ -185,7 +185,7 @@ class _ScaledLoss:
 
 def _has_residuals(oracle: Oracle) -> bool:
     try:
-        return oracle.linear is not None
+        return oracle.traits.linear is not None
     except TypeError:
         return False
 

@@ -40,11 +40,11 @@ class VariableProjection(SolverStarts):
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times."""
         space = oracle.space
-        if not oracle.linear:
+        if not oracle.traits.linear:
             settings = self.screen, self.starts, self.rounds, self.tolerance, self.method
             LeastSquares(*settings).run(oracle, rng)
             return
-        linear = [space.names.index(name) for name in oracle.linear]
+        linear = [space.names.index(name) for name in oracle.traits.linear]
         nonlinear = [k for k in range(len(space)) if k not in linear]
         if not nonlinear:
             start = space.decode(space.initial(1))[0]

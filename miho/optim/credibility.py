@@ -11,6 +11,9 @@ from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState, at_bound
 from miho.optim.oracle import Oracle
+from miho.optim.structure import MOST as MOST_ROWS
+from miho.optim.structure import has_structure
+from miho.quantities import Array
 
 MOST = 3 / 4
 """Share of the ends with a known loss that a doubtful optimum needs. For wrong optima on families
@@ -34,7 +37,7 @@ def credible(
         return True
     if agreement.agreeing < MOST * (agreement.finished - oracle.meter.starts.dropped):
         return False
-    if determined and known.loss[best] <= oracle.noise:
+    if determined and known.loss[best] <= oracle.traits.noise:
         return 2 * agreement.agreeing >= settings.doubtful_brackets
     plateau = not (determined or noise or at_bound(known.x[best]))
     enough = agreement.agreeing >= settings.doubtful_brackets * (1 + plateau)
@@ -47,8 +50,8 @@ def _leaves_noise(state: MIHOGNState, oracle: Oracle) -> bool:
     Untested residuals count as noise.
     """
     loss = float(state.minima.loss[state.best_minimum])
-    if loss > oracle.noise or loss <= oracle.resolution:
-        return loss <= oracle.resolution
+    if loss > oracle.traits.noise or loss <= oracle.traits.resolution:
+        return loss <= oracle.traits.resolution
     return not (is_tested(state, oracle) and state.structured)
 
 
@@ -58,17 +61,34 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
     The test is not needed if the loss alone decides.
     """
     loss = float(state.minima.loss[state.best_minimum])
-    known = in_optimum(loss, state.tested, oracle.resolution)
-    return known or loss > oracle.noise or loss <= oracle.resolution
+    known = in_optimum(loss, state.tested, oracle.traits.resolution)
+    return known or loss > oracle.traits.noise or loss <= oracle.traits.resolution
 
 
 def check_structure(state: MIHOGNState, oracle: Oracle) -> None:
     """Test the residuals of an optimum for structure before it is challenged."""
     if state.challenged and not is_tested(state, oracle):
         best = state.best_minimum
-        state.structured = oracle.structured(state.theta(state.minima.x[best]))
+        state.structured = structured(oracle, state.theta(state.minima.x[best]))
         state.tested = float(state.minima.loss[best])
         state.challenged = not state.structured
+
+
+def structured(oracle: Oracle, theta: Array) -> bool:
+    """Whether residuals at a configuration (d,) have a structure that noise does not have.
+
+    This costs one evaluation, or a fraction of one for many rows, if the problem has `row_inputs`.
+    Residuals that cannot be evaluated count as structured.
+    """
+    inputs, rows = oracle.traits.row_inputs, oracle.traits.rows
+    if not inputs:
+        return False
+    share = 1.0 if rows is None or rows <= MOST_ROWS else MOST_ROWS / rows
+    try:
+        residuals = oracle.residuals(theta, share)
+    except UnusableValueError:
+        return True
+    return has_structure(inputs, residuals, oracle.traits.order if share < 1 else None)
 
 
 def solves(state: MIHOGNState, oracle: Oracle) -> bool:
@@ -78,11 +98,11 @@ def solves(state: MIHOGNState, oracle: Oracle) -> bool:
     first loss of the run.
     """
     new = state.minima.loss[state.judged :]
-    if oracle.rounding > 0 or not new.size or new.min() > EPSILON * oracle.trace.loss[0]:
+    if oracle.traits.rounding > 0 or not new.size or new.min() > EPSILON * oracle.trace.loss[0]:
         return False
     x = state.box.origin + state.box.width * state.minima.x[state.judged + np.argmin(new)]
     theta = state.space.decode(x)
-    if not oracle.affords(oracle.jacobian_cost + 1):
+    if not oracle.affords(oracle.traits.jacobian_cost + 1):
         raise BudgetExhausted
     from miho.optim.zero import is_zero
 

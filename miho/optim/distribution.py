@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from miho.optim.meter import Meter
-from miho.optim.problem import Problem
-from miho.optim.usable_values import UsableValues, read_only
+from miho.optim.problem import Problem, Traits, least_squares
+from miho.optim.usable_values import read_only
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ class Distribution:
     ----------
     problem : Problem
         The problem.
-    values : UsableValues
-        Its values.
+    traits : Traits
+        Its properties.
     evaluations : Evaluations or None
         Makes the evaluations.
     meter : Meter
@@ -37,12 +37,12 @@ class Distribution:
     def __init__(
         self,
         problem: Problem,
-        values: UsableValues,
+        traits: Traits,
         evaluations: Evaluations | None,
         meter: Meter,
         limit: float,
     ) -> None:
-        self._problem, self._values, self._evaluations = problem, values, evaluations
+        self._problem, self._traits, self._evaluations = problem, traits, evaluations
         self._meter, self._limit = meter, limit
 
     @property
@@ -80,10 +80,9 @@ class Distribution:
         This counts and records nothing; the later request for the values does. Only as many
         evaluations start as the budget allows.
         """
-        cost = self._problem.cost(fidelity)
+        cost = self._traits.cost(fidelity)
         if kind == "jacobian":
-            each = self._values.least_squares.jacobian_cost
-            cost *= len(self._problem.space) if each is None else each
+            cost *= self._traits.jacobian_cost
         affordable = (self._limit - self._meter.evaluations) / cost
         rows = read_only(thetas if affordable >= len(thetas) else thetas[: int(affordable)])
         part = () if fidelity == 1.0 else (fidelity,)
@@ -92,10 +91,10 @@ class Distribution:
             if kind == "loss" and len(rows):
                 self._problem.loss(rows, *part)
             elif kind == "residuals" and len(rows):
-                self._values.least_squares.residual_rows(rows, *part)
+                least_squares(self._problem).residual_rows(rows, *part)
             elif kind == "jacobian":
                 for theta in rows:
-                    self._values.least_squares.jacobian(theta, *part)
+                    least_squares(self._problem).jacobian(theta, *part)
 
         if self._evaluations is not None:
             return self._evaluations.ahead(ask)

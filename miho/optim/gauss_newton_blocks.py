@@ -25,7 +25,7 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
     Raises as the oracle does at the end of the budget.
     """
     # Without the machine, the problem makes each evaluation.
-    kernel = oracle.kernel
+    kernel = oracle.traits.kernel
     rows = None if kernel is None else kernel.rows
     if rows is None:
         from miho.optim.gauss_newton_steps import rounds

@@ -149,7 +149,7 @@ class _Phase:
                     looks += [self._probe(theta, k) for k in self.state.box.linear]
         begun = oracle.workers.ahead(np.array(slopes), self.fidelity, "jacobian")
         begun += oracle.workers.ahead(np.array(looks), self.fidelity, "residuals")
-        return Round(len(slopes) * oracle.jacobian_cost + len(looks), begun)
+        return Round(len(slopes) * oracle.traits.jacobian_cost + len(looks), begun)
 
     def _evaluate(self, i: int, theta: Array) -> None:
         """Make the next evaluation of candidate i, at theta (d,), and advance it."""
@@ -157,8 +157,10 @@ class _Phase:
         project = bool(c.projects[i]) and stage != RECORD
         cost = self.state.box.linear.size + 1 if project else 1
         if stage == SLOPES:
-            cost = oracle.jacobian_cost + (not c.derivatives.shape[2])
-        if not oracle.affords(cost * (1.0 if self.rules.last else oracle.cost(self.fidelity))):
+            cost = oracle.traits.jacobian_cost + (not c.derivatives.shape[2])
+        if not oracle.affords(
+            cost * (1.0 if self.rules.last else oracle.traits.cost(self.fidelity))
+        ):
             raise BudgetExhausted
         try:
             if stage == SLOPES:
@@ -189,7 +191,7 @@ class _Phase:
     @np.errstate(all="ignore")
     def _take(self, index: Sequence[int], r: Array) -> None:
         """Pass the residuals r (k, m) of the candidates `index` (k,) to the steps."""
-        order, w, m = self.oracle.order, self.w, r.shape[1]
+        order, w, m = self.oracle.traits.order, self.w, r.shape[1]
         r = np.array(r, dtype=float, order="C")
         by_level = r if self.fidelity < 1.0 or order is None else np.take(r, order, axis=1)
         for i, residuals, ordered in zip(index, r, by_level, strict=True):

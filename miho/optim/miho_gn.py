@@ -147,12 +147,12 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
         """State before the first evaluation."""
-        space, N = oracle.space, oracle.rows
-        box = box_of(space, oracle.linear)
+        space, N = oracle.space, oracle.traits.rows
+        box = box_of(space, oracle.traits.linear)
         level_rows: tuple[int, ...] = (0,)
         if N is not None:
             level_rows = self._levels(N, box)
-            if oracle.cost(level_rows[0] / N) >= 1:  # fewer rows cost the same
+            if oracle.traits.cost(level_rows[0] / N) >= 1:  # fewer rows cost the same
                 level_rows = level_rows[-1:]
         oracle.meter.starts.brackets = True
         nobody, nowhere = GNCandidates.at(np.empty((0, len(space))), 0, 0, 0, False), np.empty(0)
@@ -164,8 +164,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             rng,
             np.array(level_rows),
             self.block_settings(
-                float(oracle.rounding),
-                oracle.jacobian_cost,
+                float(oracle.traits.rounding),
+                oracle.traits.jacobian_cost,
                 _has_rows(oracle),
                 solved=not box.nonlinear.size,
             ),
@@ -283,7 +283,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """Record the end of a bracket's last candidate: known, new, stalled or unusable."""
         c = state.candidates
         loss, best = float(c.loss[0]), float(state.minima.loss.min(initial=math.inf))
-        better = not in_optimum(loss, best, oracle.resolution)
+        better = not in_optimum(loss, best, oracle.traits.resolution)
         if c.stage[0] == AT_KNOWN:
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
@@ -292,7 +292,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
                 state.passed, state.challenging = 0, False
             if not state.challenging:
                 oracle.starts.add(math.inf, loss, theta=state.theta(c.x[0]))
-            if loss < best or not in_optimum(best, loss, oracle.resolution):
+            if loss < best or not in_optimum(best, loss, oracle.traits.resolution):
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE and (better or not state.challenging):
             state.stalled.append(c.first())  # one from a challenge is no evidence if it returns
@@ -347,7 +347,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             agreement = oracle.starts.agreement(oracle.best)
             agreed = agreement.enough and credible(self, state, oracle, agreement)
         enough = agreed and state.passed >= self.challenges and is_tested(state, oracle)
-        enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
+        enough |= is_rounding(oracle.best, oracle.traits.rounding, oracle.traits.resolution)
         state.challenged = agreed and not enough
         if enough or state.bracket >= self.max_brackets:
             oracle.meter.starts.exhausted = not enough
@@ -368,4 +368,4 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
 
 def _has_rows(oracle: Oracle) -> bool:
     """Whether residuals and derivatives are compiled."""
-    return oracle.kernel is not None and oracle.kernel.rows is not None
+    return oracle.traits.kernel is not None and oracle.traits.kernel.rows is not None

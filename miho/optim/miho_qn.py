@@ -113,12 +113,12 @@ class MIHOQN(Brackets, AskTell[MIHOQNState]):
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOQNState:
         """State before the first batch."""
-        space, N = oracle.space, oracle.rows
+        space, N = oracle.space, oracle.traits.rows
         level_rows: tuple[int, ...] = (0,)
         level_costs: tuple[float, ...] = (1.0,)
         if N is not None:
             level_rows = self.rows_by_level(N, len(space))
-            level_costs = tuple(oracle.cost(m / N) for m in level_rows)
+            level_costs = tuple(oracle.traits.cost(m / N) for m in level_rows)
             if level_costs[0] >= 1.0:  # fewer rows cost the same
                 level_rows, level_costs = level_rows[-1:], level_costs[-1:]
         state = self._begin(space, rng, level_rows, level_costs, oracle.meter.starts)

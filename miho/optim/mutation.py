@@ -55,11 +55,11 @@ def climb_of(oracle: Oracle) -> Climb | None:
     They work in units, which equal search coordinates without log scales. Also None after an
     interrupted batch, which has to be completed first.
     """
-    if oracle.kernel is None or oracle.meter.unfinished:
+    if oracle.traits.kernel is None or oracle.meter.unfinished:
         return None
     if any(parameter.scale == "log" for parameter in oracle.space.parameters):
         return None
-    return oracle.kernel.climb
+    return oracle.traits.kernel.climb
 
 
 def compiled_steps(

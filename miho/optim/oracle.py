@@ -8,9 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from miho.compiled import Block, Kernel
+from miho.compiled import Block
 from miho.optim.distribution import Distribution
 from miho.optim.meter import (
     Budget,
@@ -20,10 +19,9 @@ from miho.optim.meter import (
     RunInterrupted,
     UnusableValueError,
 )
-from miho.optim.problem import Problem
+from miho.optim.problem import Problem, Traits
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
-from miho.optim.structure import MOST, has_structure
 from miho.optim.trace import Trace
 from miho.optim.usable_values import UsableValues
 from miho.quantities import Array
@@ -61,8 +59,8 @@ class Oracle:
 
     Attributes
     ----------
-    rows : int, optional
-        Number of rows of data if a fidelity uses the first of them, else None.
+    traits : Traits
+        Properties of the problem, for example its number of rows and its linear parameters.
     state : object
         State of a resumable method, set by the method.
     interrupted : bool
@@ -102,24 +100,25 @@ class Oracle:
         clock: Clock | None = None,
         evaluations: Evaluations | None = None,
     ) -> None:
-        self.budget, self.rows = budget, problem.rows
+        self.budget = budget
         self.space = problem.space if space is None else space
         self.meter = Meter() if meter is None else meter
         self.starts = self.meter.starts
-        self.starts.rounding = max(problem.rounding, problem.resolution)
         self.state: Any = None
         self.interrupted = False
-        self._problem, self._evaluations = problem, evaluations
+        self._evaluations = evaluations
         self._values = UsableValues(problem, self.meter.reject)
+        self.traits = Traits(problem)
+        self.starts.rounding = self.traits.resolution
         if evaluations is not None:
             evaluations.check = self._check_interrupt
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
-        self.workers = Distribution(problem, self._values, evaluations, self.meter, self._limit)
+        self.workers = Distribution(problem, self.traits, evaluations, self.meter, self._limit)
         self._deadline = math.inf if budget.seconds is None else budget.seconds
         self._target = -math.inf if budget.target is None else budget.target
         observe = None if observer is None else partial(observer, self)
         self._recorder = Recorder(  # last, because its clock starts here
-            self.meter, self.space, self._limit, self.rows, clock or Clock(), observe
+            self.meter, self.space, self._limit, problem.rows, clock or Clock(), observe
         )
 
     if not TYPE_CHECKING:
@@ -146,19 +145,9 @@ class Oracle:
         return self._limit - self.meter.evaluations
 
     @property
-    def remaining_seconds(self) -> float:
-        """Seconds left on the clock of the method, math.inf without a limit."""
-        return self._deadline - self.seconds
-
-    @property
     def best(self) -> float:
         """Smallest finite loss so far, math.inf before the first."""
         return self.meter.best
-
-    @property
-    def linear(self) -> tuple[str, ...]:
-        """Parameters in which the residuals are jointly linear, as declared by the problem."""
-        return self._values.least_squares.linear
 
     @property
     def trace(self) -> Trace:
@@ -188,7 +177,7 @@ class Oracle:
         self._check_open()
         if not 0 < fidelity <= 1:
             raise ValueError(f"fidelity is {fidelity!r}; expected a fraction above 0, at most 1")
-        cost = self._problem.cost(fidelity)
+        cost = self.traits.cost(fidelity)
         unfinished = self.meter.unfinished
         losses = np.array(unfinished) if unfinished else NO_LOSSES
         n = len(thetas)
@@ -215,60 +204,9 @@ class Oracle:
             unfinished.clear()
         return losses
 
-    @property
-    def kernel(self) -> Kernel | None:
-        """Fast forms of the problem's loss, for blocks of evaluations (`spend`)."""
-        return self._problem.kernel
-
-    @property
-    def order(self) -> NDArray[np.intp] | None:
-        """Positions of all residuals in the order of a fidelity, None if they are in this order."""
-        return self._values.least_squares.order
-
-    @property
-    def jacobian_cost(self) -> int:
-        """Cost of the derivatives of the residuals, in evaluations of the same rows."""
-        cost = self._values.least_squares.jacobian_cost
-        return len(self.space) if cost is None else cost
-
-    @property
-    def rounding(self) -> float:
-        """Largest loss that is rounding and counts as 0."""
-        return self._problem.rounding
-
-    @property
-    def resolution(self) -> float:
-        """Difference up to which two losses count as equal."""
-        return self.starts.rounding
-
-    @property
-    def noise(self) -> float:
-        """Upper estimate of the loss that the noise of the data explains."""
-        return self._problem.noise
-
-    def structured(self, theta: Array) -> bool:
-        """Whether residuals at a configuration (d,) have a structure that noise does not have.
-
-        This costs one evaluation, or a fraction of one for many rows, if the problem has
-        `row_inputs`. Residuals that cannot be evaluated count as structured.
-        """
-        inputs, rows = self._problem.row_inputs, self.rows
-        if not inputs:
-            return False
-        share = 1.0 if rows is None or rows <= MOST else MOST / rows
-        try:
-            residuals = self.residuals(theta, share)
-        except UnusableValueError:
-            return True
-        return has_structure(inputs, residuals, self.order if share < 1 else None)
-
     def affords(self, evaluations: float) -> bool:
         """Whether the budget covers this number of further evaluations, up to rounding."""
         return self._recorder.affords(evaluations)
-
-    def cost(self, fidelity: float) -> float:
-        """Cost of one evaluation at a fidelity, in full evaluations."""
-        return self._problem.cost(fidelity)
 
     def residuals(self, theta: Array, fidelity: float = 1.0, *, goes_on: bool = False) -> Array:
         """Evaluate the residuals of one configuration.
@@ -335,11 +273,11 @@ class Oracle:
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,) in units.
 
-        Costs `jacobian_cost` evaluations. Raises BudgetExhausted if the budget does not cover them,
-        and UnusableValueError if the problem raises or a derivative is not finite.
+        Costs `traits.jacobian_cost` evaluations. Raises BudgetExhausted if the budget does not
+        cover them, and UnusableValueError if the problem raises or a derivative is not finite.
         """
         part, cost = self._part(fidelity)
-        cost *= self.jacobian_cost
+        cost *= self.traits.jacobian_cost
         self._check_open()
         if not self.affords(cost):
             raise BudgetExhausted
@@ -355,7 +293,7 @@ class Oracle:
         """Arguments for a fidelity (none for all rows), and the cost of an evaluation."""
         if fidelity == 1.0:
             return (), 1.0
-        return (fidelity,), self._problem.cost(fidelity)
+        return (fidelity,), self.traits.cost(fidelity)
 
     def spend(self, block: Callable[[float, float, float], Block], least: float) -> None:
         """Run a compiled kernel in blocks of about 20 ms until it is done.

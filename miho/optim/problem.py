@@ -160,6 +160,76 @@ class LeastSquaresProblem(Problem):
         """Derivatives of the residuals, (m, d), at one configuration (d,)."""
 
 
+def least_squares(problem: Problem) -> LeastSquaresProblem:
+    """The problem; raises TypeError if it has no residuals."""
+    if not isinstance(problem, LeastSquaresProblem):
+        raise TypeError(
+            f"problem {problem.name} has no residuals; choose a method that needs "
+            "only losses (optimizer=miho_qn), or make it a LeastSquaresProblem"
+        )
+    return problem
+
+
+class Traits:
+    """Properties of a problem that methods may use, and the cost of an evaluation.
+
+    `linear`, `order` and `jacobian_cost` raise TypeError if the problem has no residuals.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+
+    @property
+    def rows(self) -> int | None:
+        """Number of rows of data if a fidelity uses the first of them, else None."""
+        return self._problem.rows
+
+    @property
+    def kernel(self) -> Kernel | None:
+        """Fast forms of the problem's loss, for blocks of evaluations (`Oracle.spend`)."""
+        return self._problem.kernel
+
+    @property
+    def linear(self) -> tuple[str, ...]:
+        """Parameters in which the residuals are jointly linear, as declared by the problem."""
+        return least_squares(self._problem).linear
+
+    @property
+    def order(self) -> NDArray[np.intp] | None:
+        """Positions of all residuals in the order of a fidelity, None if they are in this order."""
+        return least_squares(self._problem).order
+
+    @property
+    def jacobian_cost(self) -> int:
+        """Cost of the derivatives of the residuals, in evaluations of the same rows."""
+        cost = least_squares(self._problem).jacobian_cost
+        return len(self._problem.space) if cost is None else cost
+
+    @property
+    def rounding(self) -> float:
+        """Largest loss that is rounding and counts as 0."""
+        return self._problem.rounding
+
+    @property
+    def resolution(self) -> float:
+        """Difference up to which two losses count as equal."""
+        return max(self._problem.rounding, self._problem.resolution)
+
+    @property
+    def noise(self) -> float:
+        """Upper estimate of the loss that the noise of the data explains."""
+        return self._problem.noise
+
+    @property
+    def row_inputs(self) -> Sequence[Array]:
+        """Input columns, along which the residuals of noise have no structure."""
+        return self._problem.row_inputs
+
+    def cost(self, fidelity: float) -> float:
+        """Cost of one evaluation at a fidelity, in full evaluations."""
+        return self._problem.cost(fidelity)
+
+
 def mean_square(residuals: Array) -> Array:
     """Mean square over the last axis (Eq. 1); a row has the same bits alone as in a batch."""
     residuals = np.ascontiguousarray(residuals)  # the order in memory would change the sum

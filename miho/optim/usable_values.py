@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from miho.optim.meter import UnusableValueError
-from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.problem import Problem, least_squares, mean_square
 from miho.quantities import Array
 
 NOT_FINITE = "loss is"
@@ -47,7 +47,7 @@ class UsableValues:
 
         Raises UnusableValueError if the problem raises.
         """
-        problem = self.least_squares
+        problem = least_squares(self._problem)
         try:
             residuals = _real(problem.residuals(read_only(theta), *part))
             return residuals, self._finite(mean_square(residuals)[None])
@@ -57,7 +57,7 @@ class UsableValues:
 
     def residual_rows(self, rows: Array, *part: float) -> tuple[Array, Array]:
         """Residuals (n, m) of rows (n, d), NaN if the problem raises, and losses (n,)."""
-        problem = self.least_squares
+        problem = least_squares(self._problem)
         try:
             residuals = _real(problem.residual_rows(read_only(rows), *part))
             return residuals, self._finite(mean_square(residuals))
@@ -69,7 +69,7 @@ class UsableValues:
 
         Raises UnusableValueError if the problem raises, or if a derivative is not finite.
         """
-        problem = self.least_squares
+        problem = least_squares(self._problem)
         try:
             jacobian = _real(problem.jacobian(read_only(theta), *part))
             if np.isfinite(jacobian).all():
@@ -79,16 +79,6 @@ class UsableValues:
             reason, at = f"{type(error).__name__}: {error}", self._named(theta)
         self._reject(reason, at=at)
         raise UnusableValueError(reason)
-
-    @property
-    def least_squares(self) -> LeastSquaresProblem:
-        """The problem; raises TypeError if it has no residuals."""
-        if not isinstance(self._problem, LeastSquaresProblem):
-            raise TypeError(
-                f"problem {self._problem.name} has no residuals; choose a method that needs "
-                "only losses (optimizer=miho_qn), or make it a LeastSquaresProblem"
-            )
-        return self._problem
 
     def _one_by_one(self, rows: Array, *part: float) -> tuple[Array, Array]:
         """The same as `residual_rows`, by a separate call for each row."""

@@ -46,7 +46,7 @@ class Loading(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         assert oracle.meter.evaluations == 0
-        kernel = oracle.kernel
+        kernel = oracle.traits.kernel
         assert isinstance(kernel, Traced)
         self.seen.extend(["colorsys" in sys.modules, kernel.rows_asked_for == 1])
 

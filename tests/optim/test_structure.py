@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from miho.optim import Budget
+from miho.optim.credibility import structured
 from miho.optim.oracle import Oracle
 from miho.optim.structure import LEVEL, MOST, has_structure
 from tests.optim.decays import fit
@@ -103,9 +104,9 @@ def test_long_data_are_sampled_evenly() -> None:
 def test_of_long_data_a_share_is_looked_at() -> None:
     """In the problem's own order of rows, in which residuals and inputs must agree."""
     oracle = Oracle(fit(3 * MOST), Budget())
-    assert not oracle.structured(np.array([2.0, 0.7, 0.3]))
+    assert not structured(oracle, np.array([2.0, 0.7, 0.3]))
     assert oracle.evaluations == pytest.approx(1 / 3)
-    assert oracle.structured(np.array([2.0, 0.75, 0.3]))
+    assert structured(oracle, np.array([2.0, 0.75, 0.3]))
 
 
 @pytest.mark.parametrize("residuals", [np.zeros(50), np.full(50, 3.0), np.arange(5.0)])
