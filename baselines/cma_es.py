@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 import cmaes
 import numpy as np
 
-from miho.methods.loss_scale import LossScale
-from miho.methods.unit_box import UnitBox
+from miho.methods.unit_box import LossScale, UnitBox
 from miho.optim import AskTell, Space
 from miho.quantities import Array
 from miho.validate import one_of, positive, whole

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.methods.unit_oracle import UnitOracle
+from miho.methods.unit_box import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
 from miho.validate import at_least, one_of, positive, whole

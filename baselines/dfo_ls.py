@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from miho.methods.least_squares import MultiStart
-from miho.methods.unit_box import UnitBox
+from miho.methods.unit_box import UnitBox, global_generator
 from miho.optim import Oracle, UnusableValueError
 from miho.quantities import Array
 from miho.validate import positive, whole
@@ -86,7 +84,7 @@ class DFOLS(MultiStart):
         d = len(oracle.space)
 
         def solve(theta: Array) -> bool:
-            with _quiet(rng):
+            with warnings.catch_warnings(action="ignore"), global_generator(rng):
                 try:
                     solution = dfols.solve(
                         _ScaledResiduals(oracle, box),
@@ -131,16 +129,3 @@ class _ScaledResiduals:
         if not self._worst.size or residuals @ residuals > self._worst @ self._worst:
             self._worst = residuals
         return residuals
-
-
-@contextlib.contextmanager
-def _quiet(rng: np.random.Generator) -> Iterator[None]:
-    """Suppress warnings, and seed NumPy's global generator, which the library uses, from `rng`."""
-    state = np.random.get_state()  # noqa: NPY002
-    np.random.seed(int(rng.integers(2**32)))  # noqa: NPY002
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        np.random.set_state(state)  # noqa: NPY002

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.methods.unit_oracle import UnitOracle
+from miho.methods.unit_box import UnitOracle, global_generator
 from miho.optim import Optimizer, Oracle
 from miho.validate import whole
 
@@ -66,7 +66,7 @@ class NGOpt(Optimizer):
         """Plan and search until the budget ends."""
         losses = UnitOracle(oracle, 1, LEVEL)
         start = losses.start[0]
-        with _quiet(), _global_generator(int(rng.integers(2**32))):
+        with _quiet(), global_generator(rng):
             while True:
                 plan = self._planned(oracle.remaining)
                 box = nevergrad.p.Array(
@@ -89,17 +89,6 @@ class NGOpt(Optimizer):
                 "expected a whole number; set plan, or budget.evaluations"
             )
         return max(1, math.ceil(evaluations))
-
-
-@contextlib.contextmanager
-def _global_generator(seed: int) -> Iterator[None]:
-    """Seed NumPy's global generator, which some of the methods use, and restore it afterwards."""
-    state = np.random.get_state()  # noqa: NPY002
-    np.random.seed(seed)  # noqa: NPY002
-    try:
-        yield
-    finally:
-        np.random.set_state(state)  # noqa: NPY002
 
 
 @contextlib.contextmanager

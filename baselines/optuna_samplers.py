@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import optuna
 
-from miho.methods.loss_scale import UNUSABLE
+from miho.methods.unit_box import UNUSABLE
 from miho.optim import Optimizer, Oracle, Space
 from miho.validate import positive, whole
 

@@ -208,7 +208,7 @@ def _errors(
         index = rows.get(run)
         run_errors = no_value if index is None else step(at[index], errors[index], grid)
         by_method.setdefault(method, []).append(np.where(np.isnan(run_errors), np.inf, run_errors))
-    return {method: np.array(ones) for method, ones in by_method.items()}
+    return {method: np.array(of_method) for method, of_method in by_method.items()}
 
 
 def _legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:

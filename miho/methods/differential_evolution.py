@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy  # loads its subpackages on first use: importing them takes a second
 
-from miho.methods.unit_oracle import UnitOracle
+from miho.methods.unit_box import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.quantities import Array
 from miho.validate import at_least, one_of, whole

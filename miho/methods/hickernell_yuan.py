@@ -17,8 +17,7 @@ from miho.methods.descent import (
     ending_where_unusable,
     local_search,
 )
-from miho.methods.sobol import Sobol
-from miho.methods.unit_box import UnitBox
+from miho.methods.unit_box import Sobol, UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.trace import Descent

@@ -10,8 +10,7 @@ import numpy as np
 
 from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, local_search
 from miho.methods.least_squares import screening_losses
-from miho.methods.sobol import Sobol
-from miho.methods.unit_box import UnitBox
+from miho.methods.unit_box import Sobol, UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
 from miho.quantities import Array

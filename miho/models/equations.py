@@ -1,18 +1,16 @@
 """Equations of motion from plain functions: rates of states, outputs, and derivatives."""
 
 from __future__ import annotations
-import __future__
 
-import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from miho.models.formula_text import written
-from miho.models.function_model import COLUMN, declared_unit
+from miho.models.function_model import COLUMN, declared_unit, signature_of
 from miho.models.model import ROOT
 from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, of_symbols, trace
 from miho.models.taped_equations import TapedEquations, taped_equations
@@ -38,14 +36,7 @@ class Declared:
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Declared:
         """Read a function's signature."""
-        inner = function.func if isinstance(function, partial) else function
-        name = str(getattr(inner, "__name__", type(inner).__name__))
-        flags = getattr(getattr(inner, "__code__", None), "co_flags", 0)
-        postponed = bool(flags & __future__.annotations.compiler_flag)
-        try:
-            signature = inspect.signature(function)
-        except (TypeError, ValueError):
-            raise ValueError(f"{function!r} is not a function with a signature") from None
+        signature, name, postponed = signature_of(function)
         columns: dict[str, str] = {}
         parameters: dict[str, str] = {}
         for each in signature.parameters.values():

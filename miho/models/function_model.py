@@ -117,15 +117,9 @@ class FunctionModel(DifferencedModel):
     name: str = field(init=False)
 
     def __post_init__(self) -> None:
-        try:
-            signature = inspect.signature(self.function)
-        except (TypeError, ValueError):
-            raise ValueError(f"{self.function!r} is not a function with a signature") from None
+        signature, name, source = signature_of(self.function)
         plain = self._plain
         own = (signature if plain is self.function else inspect.signature(plain)).parameters
-        name = getattr(plain, "__name__", type(plain).__name__)
-        code = getattr(plain, "__code__", None)
-        source = bool(code and code.co_flags & __future__.annotations.compiler_flag)
         object.__setattr__(self, "name", name)
         columns: dict[str, str] = {}
         parameters: dict[str, str] = {}
@@ -287,10 +281,7 @@ class FunctionModel(DifferencedModel):
     @property
     def _plain(self) -> Callable[..., Any]:
         """The function without `functools.partial` around it."""
-        function = self.function
-        while isinstance(function, functools.partial):
-            function = function.func
-        return function
+        return plain_of(self.function)
 
     def _at_line(self, error: Exception) -> str:
         """Return a message with the error of the function and the line of its file."""
@@ -310,6 +301,25 @@ def alike(first: Array, second: Array) -> bool:
         return True
     size = np.abs(first[np.isfinite(first)]).max(initial=0.0)
     return np.allclose(first, second, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
+
+
+def plain_of(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function without `functools.partial` around it."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    return function
+
+
+def signature_of(function: Callable[..., Any]) -> tuple[inspect.Signature, str, bool]:
+    """Return a function's signature, its name, and whether annotations are source text."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        raise ValueError(f"{function!r} is not a function with a signature") from None
+    plain = plain_of(function)
+    flags = getattr(getattr(plain, "__code__", None), "co_flags", 0)
+    source = bool(flags & __future__.annotations.compiler_flag)
+    return signature, str(getattr(plain, "__name__", type(plain).__name__)), source
 
 
 def declared_unit(annotation: Any, source: bool) -> str:

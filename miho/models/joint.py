@@ -40,20 +40,7 @@ class JointModel(Model):
     parts: tuple[JointPart, ...]
 
     def __post_init__(self) -> None:
-        for group in ("inputs", "parameters"):
-            units: dict[str, tuple[str, str]] = {}
-            for part in self.parts:
-                own: Mapping[str, str] = part.model.inputs
-                if group == "parameters":
-                    values = part.model.parameters.values()
-                    own = dict(zip(part.parameters, values, strict=True))
-                for name, unit in own.items():
-                    first, needed = units.setdefault(name, (part.name, unit))
-                    if unit != needed:
-                        raise ValueError(
-                            f"{name} has the unit {needed!r} in {first} and {unit!r} in "
-                            f"{part.name}; use one unit, or different names"
-                        )
+        _ = self.inputs, self.parameters  # raise if units differ
 
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
         """Return the joint model of parts with wrapped leaves."""
@@ -70,18 +57,26 @@ class JointModel(Model):
     @cached_property
     def inputs(self) -> Mapping[str, str]:
         """Units of the part's number and of the inputs of all parts."""
-        units = {PART: "-"}
-        for part in self.parts:
-            units |= part.model.inputs
-        return units
+        return {PART: "-"} | self._units([part.model.inputs for part in self.parts])
 
     @cached_property
     def parameters(self) -> Mapping[str, str]:
         """Units of the parameters of all parts, in order of first use."""
+        groups = [(part.parameters, part.model.parameters.values()) for part in self.parts]
+        return self._units([dict(zip(*group, strict=True)) for group in groups])
+
+    def _units(self, groups: Sequence[Mapping[str, str]]) -> dict[str, str]:
+        """Return the units of all names, from a mapping of each part."""
         units: dict[str, str] = {}
-        for part in self.parts:
-            own = zip(part.parameters, part.model.parameters.values(), strict=True)
-            units |= {name: unit for name, unit in own if name not in units}
+        first: dict[str, str] = {}  # the first part with this name
+        for part, group in zip(self.parts, groups, strict=True):
+            for name, unit in group.items():
+                first.setdefault(name, part.name)
+                if units.setdefault(name, unit) != unit:
+                    raise ValueError(
+                        f"{name} has the unit {units[name]!r} in {first[name]} and {unit!r} in "
+                        f"{part.name}; use one unit, or different names"
+                    )
         return units
 
     @property

@@ -12,8 +12,7 @@ import numpy as np
 
 from miho.compiled.course import Course
 from miho.models.equations import NO_UNIT, Declared, Equations
-from miho.models.integration import Path as Solution
-from miho.models.integration import Sensitivities, Values, along, runge_kutta, stiff
+from miho.models.integration import Motion, Sensitivities, Values, along, runge_kutta, stiff
 from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout, check_scales
 from miho.models.model import Model
 from miho.models.time_step import time_step_remarks
@@ -293,32 +292,30 @@ class Trajectory(Model):
         out = np.empty((len(thetas), inputs[0].size))
         if self._taped is not None:
             self._taped.solve(np.array(thetas, dtype=float, order="C"), course, out)
-        elif self.solver == RUNGE_KUTTA:
-            motion = Values(self.equations, thetas.T.copy())
-            out[:] = along(course, motion, runge_kutta(course, motion)).T
         else:
-            for row, theta in zip(out, thetas, strict=True):
-                motion = Values(self.equations, theta[:, None].copy())
-                row[:] = along(course, motion, self._stiff(course, motion))[:, 0]
+            every = np.arange(len(thetas))
+            for rows in [every] if self.solver == RUNGE_KUTTA else every[:, None]:
+                out[rows] = self._along(course, Values(self.equations, thetas[rows].T.copy())).T
         out[~np.isfinite(out)] = np.nan
         return out
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Return the derivatives of the outputs (N, d), by the sensitivity equations."""
         course, theta = self._course(inputs), np.array(theta, dtype=float)
-        motion = Sensitivities(self.equations, theta, np.maximum(np.abs(theta), SMALLEST))
         if self._taped is not None:
             out = np.empty((inputs[0].size, theta.size))
             self._taped.derive(theta, course, out)
-        elif self.solver == RUNGE_KUTTA:
-            out = along(course, motion, runge_kutta(course, motion))
         else:
-            out = along(course, motion, self._stiff(course, motion))
+            scale = np.maximum(np.abs(theta), SMALLEST)
+            out = self._along(course, Sensitivities(self.equations, theta, scale))
         out[~(np.abs(out) < LARGEST)] = np.nan
         return out
 
-    def _stiff(self, course: Course, motion: Values | Sensitivities) -> Solution:
-        return stiff(course, motion, self.solver, self.tolerance)
+    def _along(self, course: Course, motion: Motion) -> Array:
+        """Return the observed values of a motion at the rows of data."""
+        if self.solver == RUNGE_KUTTA:
+            return along(course, motion, runge_kutta(course, motion))
+        return along(course, motion, stiff(course, motion, self.solver, self.tolerance))
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
         """Return a sentence if a halved step would change parameters noticeably."""
@@ -358,12 +355,12 @@ class Trajectory(Model):
         return [(), None]
 
 
-def _agreeing(given: Mapping[str, str], groups: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return the units of all names, given or declared by any function with this argument."""
+def _agreeing(stated: Mapping[str, str], groups: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """Return the units of all names, stated or declared by any function with this argument."""
     units: dict[str, str] = {}
     for group in groups:
         for name, declared in group.items():
-            for unit in (declared, given.get(name, NO_UNIT)):
+            for unit in (declared, stated.get(name, NO_UNIT)):
                 known = units.get(name, NO_UNIT)
                 if NO_UNIT not in (unit, known) and unit != known:
                     raise ValueError(f"argument {name} has the units {known!r} and {unit!r}")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from miho.optim.meter import Meter
-from miho.optim.problem import Problem, Traits, least_squares
+from miho.optim.problem import Problem, Traits, least_squares, part_of
 from miho.optim.usable_values import read_only
 from miho.quantities import Array
 
@@ -85,7 +85,7 @@ class Distribution:
             cost *= self._traits.jacobian_cost
         affordable = (self._limit - self._meter.evaluations) / cost
         rows = read_only(thetas if affordable >= len(thetas) else thetas[: int(affordable)])
-        part = () if fidelity == 1.0 else (fidelity,)
+        part = part_of(fidelity)
 
         def ask() -> None:
             if kind == "loss" and len(rows):

@@ -19,7 +19,7 @@ from miho.optim.meter import (
     RunInterrupted,
     UnusableValueError,
 )
-from miho.optim.problem import Problem, Traits
+from miho.optim.problem import Problem, Traits, part_of
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
 from miho.optim.trace import Trace
@@ -236,7 +236,7 @@ class Oracle:
         BudgetExhausted
             At the end of the budget.
         """
-        part, cost = self._part(fidelity)
+        part, cost = part_of(fidelity), self.traits.cost(fidelity)
         if not goes_on:
             self._check_open()
         if not self.affords(cost):
@@ -257,7 +257,7 @@ class Oracle:
         k is limited by the time between two checks of the clock, and by the budget; raises
         BudgetExhausted if it is 0. A row is NaN if the problem raises.
         """
-        part, cost = self._part(fidelity)
+        part, cost = part_of(fidelity), self.traits.cost(fidelity)
         self._check_open()
         if self.workers.spreads:
             self.workers.ahead(thetas, fidelity, "residuals")
@@ -276,7 +276,7 @@ class Oracle:
         Costs `traits.jacobian_cost` evaluations. Raises BudgetExhausted if the budget does not
         cover them, and UnusableValueError if the problem raises or a derivative is not finite.
         """
-        part, cost = self._part(fidelity)
+        part, cost = part_of(fidelity), self.traits.cost(fidelity)
         cost *= self.traits.jacobian_cost
         self._check_open()
         if not self.affords(cost):
@@ -288,12 +288,6 @@ class Oracle:
             raise
         self._recorder.derivatives(cost)
         return jacobian
-
-    def _part(self, fidelity: float) -> tuple[tuple[float, ...], float]:
-        """Arguments for a fidelity (none for all rows), and the cost of an evaluation."""
-        if fidelity == 1.0:
-            return (), 1.0
-        return (fidelity,), self.traits.cost(fidelity)
 
     def spend(self, block: Callable[[float, float, float], Block], least: float) -> None:
         """Run a compiled kernel in blocks of about 20 ms until it is done.

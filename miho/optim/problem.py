@@ -230,6 +230,11 @@ class Traits:
         return self._problem.cost(fidelity)
 
 
+def part_of(fidelity: float) -> tuple[float, ...]:
+    """Arguments for a fidelity; none for all rows, of which a problem need not know fidelities."""
+    return () if fidelity == 1.0 else (fidelity,)
+
+
 def mean_square(residuals: Array) -> Array:
     """Mean square over the last axis (Eq. 1); a row has the same bits alone as in a batch."""
     residuals = np.ascontiguousarray(residuals)  # the order in memory would change the sum

@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from miho.optim.problem import LeastSquaresProblem, Problem
+from miho.optim.problem import LeastSquaresProblem, Problem, part_of
 from miho.parallel.errors import StaleJournalError
 from miho.quantities import Array
 from miho.validate import positive
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluated, Evaluations, Journal, Workers
-
-WHOLE = 1.0
 
 
 JournalFile: TypeAlias = "str | os.PathLike[str] | Journal | None"
@@ -137,22 +135,18 @@ def spread(problem: Problem, evaluations: Evaluations) -> Problem:
 
 
 def _losses(problem: Any, fidelity: float, thetas: Array) -> Array:
-    losses = np.asarray(problem.loss(thetas, *_part(fidelity)))
+    losses = np.asarray(problem.loss(thetas, *part_of(fidelity)))
     if losses.shape != (len(thetas),) or losses.dtype.kind not in "fiu":
         raise ValueError(f"not one real number per row: {losses.dtype} of shape {losses.shape}")
     return losses
 
 
 def _residuals(problem: Any, fidelity: float, thetas: Array) -> Array:
-    return np.array([problem.residuals(theta, *_part(fidelity)) for theta in thetas])
+    return np.array([problem.residuals(theta, *part_of(fidelity)) for theta in thetas])
 
 
 def _jacobians(problem: Any, fidelity: float, thetas: Array) -> Array:
-    return np.array([problem.jacobian(theta, *_part(fidelity)) for theta in thetas])
-
-
-def _part(fidelity: float) -> tuple[float, ...]:
-    return () if fidelity == WHOLE else (fidelity,)
+    return np.array([problem.jacobian(theta, *part_of(fidelity)) for theta in thetas])
 
 
 _KINDS = {"loss": _losses, "residuals": _residuals, "jacobian": _jacobians}

@@ -14,7 +14,7 @@ from miho.methods.differential_evolution import DifferentialEvolution
 from miho.methods.dual_annealing import DualAnnealing
 from miho.methods.least_squares import LeastSquares
 from miho.methods.local_search import LBFGSB, NelderMead
-from miho.methods.loss_scale import UNUSABLE, LossScale
+from miho.methods.unit_box import UNUSABLE, LossScale
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import Optimizer
 from miho.quantities import Array

@@ -1,7 +1,6 @@
 import numpy as np
 
-from miho.methods.loss_scale import UNUSABLE
-from miho.methods.unit_oracle import UnitOracle
+from miho.methods.unit_box import UNUSABLE, UnitOracle
 from miho.optim import Budget, Oracle
 from miho.testing import DecayFit
 
