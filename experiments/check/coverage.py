@@ -69,6 +69,10 @@ SLIP = np.linspace(-0.8, 0.8, 161)
 STIFFNESS, LITTLE = 5.385, 0.02
 CURVED = {"B": (1, 30), "C": (0.5, 3), "D": (0.1, 3), "E": (-10, 1)}
 """Box of the curve with curvature; a tire has E up to 1."""
+HEAD = """\
+Share of data sets whose nominal 95 % interval holds the truth, with the interval of
+that share for so many sets (Clopper and Pearson):
+"""
 DESIGNS = ("drift", "swing", "random")
 LENGTHS = (60, 300, 3000)
 SPACE = Space(
@@ -249,10 +253,15 @@ def shares(
             count = np.sum(held[:n], axis=0)
             row: dict[str, object] = {"interval": kind, "sets": n}
             for name, k in zip(names, count, strict=True):
-                share = binomtest(int(k), n).proportion_ci()
-                row[name] = f"{100 * k / n:.1f} % [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+                row[name] = share_text(k, n)
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def share_text(k: int, n: int) -> str:
+    """Text of the share k of n, with its 95 % interval."""
+    share = binomtest(int(k), n).proportion_ci()
+    return f"{100 * k / n:.1f} % [{100 * share.low:.0f}, {100 * share.high:.0f}]"
 
 
 def main() -> None:
@@ -277,8 +286,7 @@ def main() -> None:
     table = coverage(
         arguments.sets, arguments.bootstrapped, arguments.replicates, arguments.correlation
     )
-    print("Share of data sets whose nominal 95 % interval holds the truth, with the interval of")
-    print("that share for so many sets (Clopper and Pearson):\n")
+    print(HEAD)
     print(table.to_string(index=False))
 
 

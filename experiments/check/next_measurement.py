@@ -10,13 +10,13 @@ spread of these estimates, which does not rely on linearisation.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from experiments.check import arguments
 from experiments.check.coverage import NOISE, SPACE, TRUTH
 from miho.data import Dataset
 from miho.identification import CurveFit, make_report, optimal_design
@@ -90,17 +90,14 @@ def compared(choices: int, replicates: int) -> pd.DataFrame:
 
 def main() -> None:
     """Print the spreads, and whether the advised rows are at least as good as the best."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--choices", type=int, default=100)
-    parser.add_argument("--replicates", type=int, default=400)
-    arguments = parser.parse_args()
-    table = compared(arguments.choices, arguments.replicates)
-    error = 100 / np.sqrt(2 * arguments.replicates)
-    print(f"Spread of estimates over {arguments.replicates} simulated data sets, in % of the value")
+    options = arguments(__doc__, choices=100, replicates=400)
+    table = compared(options.choices, options.replicates)
+    error = 100 / np.sqrt(2 * options.replicates)
+    print(f"Spread of estimates over {options.replicates} simulated data sets, in % of the value")
     print(f"(each known to {error:.1f} % of itself), with {SIZE} rows more:\n")
     print(table.to_string(index=False, float_format="%.2f"))
     better = table["advised"] <= table["best of random"]
-    print(f"\nadvised rows at least as good as the best of {arguments.choices}: {better.sum()} "
+    print(f"\nadvised rows at least as good as the best of {options.choices}: {better.sum()} "
           f"of {len(table)} goals")  # fmt: skip
 
 

@@ -11,7 +11,6 @@ sides of zero. The other solvers get the two published starting points and no bo
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.util
 import itertools
@@ -26,6 +25,7 @@ import scipy.optimize
 from tqdm import tqdm
 
 from baselines.problems import PublishedFit, PublishedModel, published_fit, published_names
+from experiments.check import arguments
 from miho.identification import CurveFit, make_report
 from miho.optim import MIHOGN, Parameter, Space, minimize
 from miho.quantities import Array
@@ -185,9 +185,7 @@ def _attempt(
 
 def main() -> None:
     """Print the digits, and the number of problems with enough digits."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seed", type=int, default=0)
-    results = table(nist_names(), parser.parse_args().seed)
+    results = table(nist_names(), arguments(__doc__, seed=0).seed)
     columns = [name for name in results.columns if name != "problem"]
     print(
         "Right digits of all parameters / of all standard errors, against NIST's certified values"

@@ -12,16 +12,16 @@ two datasets share the rate, with different amplitudes and unequal noise, stated
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 from tqdm import tqdm
 
 import miho
+from experiments.check import arguments
+from experiments.check.coverage import HEAD, share_text
 from miho import Fit, Part
 from miho.optim.seeds import stream
 from miho.quantities import Array
@@ -114,20 +114,16 @@ def coverage(case: str, sets: int) -> list[dict[str, Any]]:
                 hits.setdefault((name, "profile"), []).append(curve.low <= value <= curve.high)
     rows: dict[str, dict[str, Any]] = {}
     for (name, kind), inside in hits.items():
-        share = binomtest(sum(inside), len(inside)).proportion_ci()
-        text = f"{100 * np.mean(inside):.1f} % [{100 * share.low:.0f}, {100 * share.high:.0f}]"
-        rows.setdefault(name, {"case": case, "parameter": name})[kind] = text
+        row = rows.setdefault(name, {"case": case, "parameter": name})
+        row[kind] = share_text(sum(inside), len(inside))
     return list(rows.values())
 
 
 def main() -> None:
     """Print a row for each parameter of each case."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--sets", type=int, default=500)
-    arguments = parser.parse_args()
-    rows = [row for case in CASES for row in coverage(case, arguments.sets)]
-    print("Share of data sets whose nominal 95 % interval holds the truth, with the interval of")
-    print("that share for so many sets (Clopper and Pearson):\n")
+    sets = arguments(__doc__, sets=500).sets
+    rows = [row for case in CASES for row in coverage(case, sets)]
+    print(HEAD)
     print(pd.DataFrame(rows).fillna("-").to_string(index=False))
 
 

@@ -11,7 +11,6 @@ for which a report notes uneven errors.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
@@ -20,6 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments.check import arguments
 from experiments.check.coverage import linear_fit
 from miho.data import Dataset
 from miho.identification import CurveFit, linearised
@@ -82,9 +82,7 @@ def coverage(case: str, rows: int, sets: int) -> dict[str, object]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--sets", type=int, default=500)
-    sets = parser.parse_args().sets
+    sets = arguments(__doc__, sets=500).sets
     cases = [(case, rows) for case in (*DECAYS, *LINES) for rows in LENGTHS]
     rows = [coverage(*case, sets) for case in tqdm(cases, disable=None)]
     print(pd.DataFrame(rows).to_string(index=False))

@@ -10,7 +10,6 @@ parameters; it claims an optimum if it ends by evidence.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from experiments.benchmarks.bars import machine
+from experiments.check import arguments
 from miho import MIHOGN, Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.models import FunctionModel
 from miho.quantities import Array
@@ -81,25 +81,20 @@ CURVES = {
 
 def main() -> None:
     """Fit, print."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.check.wide_boxes",
-        description=(__doc__ or "").partition("\n\n")[0],
-    )
-    parser.add_argument("--seeds", type=int, default=20, help="runs in each box")
-    arguments = parser.parse_args()
+    seeds = arguments(__doc__, seeds=20).seeds
     print(machine())
     for name, curve in CURVES.items():
         for times in TIMES:
             fit, budget = curve.fit(times), Budget(evaluations=30_000)
             with single_thread():
-                runs = [minimize(MIHOGN(), fit, budget, seed) for seed in range(arguments.seeds)]
+                runs = [minimize(MIHOGN(), fit, budget, seed) for seed in range(seeds)]
             best = curve.best(fit)
             right = [run.loss <= (1 + RIGHT) * best for run in runs]
             claims = [str(run.outcome) == "converged" for run in runs]
             wrong = sum(c and not r for c, r in zip(claims, right, strict=True))
             spent = np.median([run.evaluations for run in runs])
             print(
-                f"{name:12s} {times:6.0e} times: {sum(right)} of {arguments.seeds} right, "
+                f"{name:12s} {times:6.0e} times: {sum(right)} of {seeds} right, "
                 f"{sum(claims)} claims, {wrong} wrong, {spent:.0f} evaluations",
                 flush=True,
             )

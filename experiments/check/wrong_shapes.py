@@ -13,7 +13,6 @@ drifts"), or that the data cannot distinguish this from drifting noise (`cannot 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
@@ -21,6 +20,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from experiments.check import arguments
 from experiments.check.coverage import autoregressive, linear_fit
 from miho.identification import linearised
 from miho.identification.validation import is_finding, residual_trends
@@ -73,12 +73,8 @@ def table(sets: int, rows: int, size: float) -> pd.DataFrame:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--sets", type=int, default=200)
-    parser.add_argument("--rows", type=int, default=300)
-    parser.add_argument("--size", type=float, default=1.0)
-    arguments = parser.parse_args()
-    print(table(**vars(arguments)).to_string(index=False, float_format="%.1f"))
+    options = arguments(__doc__, sets=200, rows=300, size=1.0)
+    print(table(**vars(options)).to_string(index=False, float_format="%.1f"))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ to its rows and is halved in the same way. A box is split at the middle of an in
 median, so that a few remote rows form a half. Among the inputs along which the box is long, the
 split uses the one whose halves differ most in their numbers of rows. Rows that determine a
 parameter without an extreme input, for example at the beginning of a transient, are as rare as in
-a random order. `experiments.check.row_order` compares this order with others.
+a random order.
 """
 
 from __future__ import annotations

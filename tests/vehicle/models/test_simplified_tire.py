@@ -102,7 +102,7 @@ def test_back_and_through_a_file_it_is_the_same_tire(tmp_path: Path) -> None:
     table = simplify(LF, LOADS, CAMBERS, [120e3, 145e3, 170e3])
     again = from_simplified(table, bare(LF))
     write_tir(again, tmp_path / "again.tir")
-    assert off(load_tir(tmp_path / "again.tir"), table, two_sided=True) < 1e-9
+    assert off(load_tir(tmp_path / "again.tir"), table, two_sided=True) < 1e-12
     for name in COEFFICIENTS:
         actual, expected = getattr(again.parameters, name), getattr(LF.parameters, name)
         assert actual == pytest.approx(expected, rel=1e-6, abs=1e-8), name
