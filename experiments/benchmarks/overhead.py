@@ -1,155 +1,160 @@
-"""Cost of recording the evaluations of a run.
+"""Cost of an evaluation of nothing: its record, and its way to a worker and back.
 
 python -m experiments.benchmarks.overhead [--quick] [--output FOLDER]
 
 The cost of the recorder is the difference between calls of `Oracle` and direct calls of the loss.
-Its share of a MIHO run on the left front tire is computed from the number of calls in that run and
-their cost alone: per block of compiled steps, per batch and per improvement. The bar per evaluation
-is for batches of 10 and more in which no row improves; single rows and improvements cost more, are
-listed in the table and count in the share of the run.
+Its bar is for batches of 10 and more in which no row improves; single rows and improvements cost
+more. Each library of workers runs 1,000 tasks that return their argument, with two workers; the
+start of the workers is measured separately, up to the end of their first tasks. The median of
+several turns counts. A note names each library that is not installed. Optuna runs its trials in
+threads.
 """
 
 from __future__ import annotations
 
+import importlib
+import operator
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from typing import NamedTuple
+from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from experiments.app.build import build
-from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from miho.compiled import Block, Climb, Kernel, Rows, Steps
-from miho.optim import Budget, Oracle, Problem, Space, minimize
+from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
+from miho.optim import Budget, Oracle, Parameter, Problem, Space
 from miho.quantities import Array
 
 BATCHES = (1, 10, 100, 1000)
-
-
-class CompiledSteps(NamedTuple):
-    """A kernel of counted steps."""
-
-    climb: Climb
-    rows: Rows | None = None
-
-
-class Counted(Problem):
-    """A problem that counts the batches and the blocks of compiled steps of a run."""
-
-    def __init__(self, inner: Problem) -> None:
-        self.inner, self.name, self.space = inner, inner.name, inner.space
-        self.batches = self.blocks = 0
-
-    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Losses (n,) of the inner problem; each call counts as a batch."""
-        self.batches += 1
-        return self.inner.loss(thetas, fidelity)
-
-    @property
-    def kernel(self) -> Kernel | None:
-        """The problem's compiled steps."""
-        return CompiledSteps(self._climb)
-
-    def _climb(self, steps: Steps, best: float, target: float) -> Block:
-        self.blocks += 1
-        kernel = self.inner.kernel
-        if kernel is None or kernel.climb is None:
-            raise RuntimeError("the problem has no compiled steps")
-        return kernel.climb(steps, best, target)
+TASKS, WORKERS, TURNS = 1000, 2, 5
+LIMITS = {"miho, processes": 1.0, "miho, Dask": 3.0}
+"""Seconds of all tasks."""
+Run = Callable[[int], object]
+"""Runs a number of empty tasks."""
 
 
 class Prepared(Problem):
     """A problem whose losses are computed in advance, so that they cost nothing."""
 
     name = "prepared"
+    space = Space(tuple(Parameter(name, "-", 0.0, 1.0) for name in "abcde"))
 
-    def __init__(self, space: Space, losses: Array) -> None:
-        self.space, self.losses = space, losses
+    def __init__(self, losses: Array) -> None:
+        self.losses = losses
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """The first n of the given losses."""
         return self.losses[: len(thetas)]
 
 
-def recorder(space: Space, repeats: int) -> dict[tuple[str, int], float]:
-    """Seconds of the oracle per batch without the loss: none of the losses improve, or all do."""
-    cost = {}
+def recorder(repeats: int) -> Iterator[tuple[str, float]]:
+    """Seconds per evaluation without the loss, in batches without and with improvements."""
     for batch in BATCHES:
-        thetas = space.decode(space.initial(batch))
-        flat = Prepared(space, np.full(batch, 1.0))
-        steady = Oracle(flat, Budget())
-        steady(thetas)
-        jobs = {"oracle": partial(steady, thetas), "loss": partial(flat.loss, thetas)}
-        seconds = interleaved(jobs, repeats)
-        cost["none", batch] = seconds["oracle"] - seconds["loss"]
-        falling = Prepared(space, -np.arange(1.0, batch + 1))
-        improving = Oracle(falling, Budget())
+        thetas = Prepared.space.decode(Prepared.space.initial(batch))
+        for improving in (0, batch):
+            problem = Prepared(-np.arange(1.0, batch + 1))
+            oracle = Oracle(problem, Budget())
+            oracle(thetas)
 
-        def improve(o: Oracle = improving, p: Prepared = falling, t: Array = thetas) -> None:
-            p.losses = p.losses - len(t)
-            o(t)
+            def shift(problem: Prepared = problem, lower: int = improving) -> None:
+                problem.losses = problem.losses - lower
 
-        def shift(p: Prepared = falling, t: Array = thetas) -> None:
-            p.losses = p.losses - len(t)
+            def record(shift: Run = shift, oracle: Oracle = oracle, at: Array = thetas) -> None:
+                shift()
+                oracle(at)
 
-        seconds = interleaved({"oracle": improve, "shift": shift}, repeats, atom=0.001)
-        cost["all", batch] = seconds["oracle"] - seconds["shift"]
-    return cost
+            jobs = {"shift": shift, "record": record}
+            seconds = interleaved(jobs, repeats, atom=0.001 if improving else 0.01)
+            name = f"batch of {batch}, {'all' if improving else 'none'} improve"
+            yield name, (seconds["record"] - seconds["shift"]) / batch
 
 
-def block_seconds(space: Space, repeats: int) -> float:
-    """Seconds of the oracle per block of compiled steps without improvements."""
-    none = np.empty(0)
-    report = Block(1, none, none, none.reshape(0, len(space)), {"loss is nan": 0, "loss is inf": 0})
-    oracle = Oracle(Prepared(space, np.ones(1)), Budget())
-    oracle(space.initial(1))
+@contextmanager
+def pool(engine: str) -> Iterator[Run]:
+    """Workers as in searches: calls of a shared function, with retries and measured times."""
+    with started(engine, WORKERS) as (workers, _):
+        yield lambda count: list(workers.map(operator.pos, range(count)))
 
-    def step() -> None:
-        oracle.spend(lambda limit, best, target: report, 1)
 
-    return interleaved({"block": step}, repeats)["block"]
+@contextmanager
+def executor() -> Iterator[Run]:
+    """The executor of `concurrent.futures`."""
+    with ProcessPoolExecutor(WORKERS) as workers:
+        yield lambda count: wait([workers.submit(operator.pos, k) for k in range(count)])
+
+
+@contextmanager
+def loky() -> Iterator[Run]:
+    """joblib's default."""
+    joblib = importlib.import_module("joblib")
+    with joblib.Parallel(n_jobs=WORKERS) as parallel:
+        yield lambda count: parallel(joblib.delayed(operator.pos)(k) for k in range(count))
+
+
+@contextmanager
+def optuna() -> Iterator[Run]:
+    """Random trials without a suggestion."""
+    library = importlib.import_module("optuna")
+    library.logging.set_verbosity(library.logging.ERROR)
+    study = library.create_study(sampler=library.samplers.RandomSampler(0))
+    yield lambda count: study.optimize(lambda trial: 0.0, n_trials=count, n_jobs=WORKERS)
+
+
+FORMS: dict[str, Callable[[], AbstractContextManager[Run]]] = {
+    "miho, processes": partial(pool, PROCESSES),
+    "miho, Dask": partial(pool, DASK),
+    "concurrent.futures": executor,
+    "joblib (loky)": loky,
+    "Optuna (threads)": optuna,
+}
+LIBRARIES = {"joblib (loky)": "joblib", "Optuna (threads)": "optuna"}
+
+
+def tasks(name: str, turns: int) -> dict[str, Any]:
+    """Seconds of a start, and of all tasks."""
+    began, seconds = time.perf_counter(), []
+    with FORMS[name]() as run:
+        run(WORKERS)
+        start = time.perf_counter() - began
+        for _ in range(turns):
+            began = time.perf_counter()
+            run(TASKS)
+            seconds.append(time.perf_counter() - began)
+    return {"name": f"a task, {name}", "seconds": np.median(seconds) / TASKS, "start": start}
 
 
 def measure(quick: bool) -> Measured:
-    """Measure the recorder alone, and its share of a run."""
-    register()
-    repeats = 5 if quick else 20
-    experiment = build(composed(["dataset=tire_lf", "optimizer=miho"]))
-    space = experiment.problem.space
-    # The recorder's calls timed alone.
-    cost = recorder(space, repeats)
-    per_block = block_seconds(space, repeats)
-    rows = [
-        (f"batch of {batch}, {improving} improve", 1e6 * seconds / batch)
-        for (improving, batch), seconds in cost.items()
+    """Measure the recorder, then the tasks of each library."""
+    rows: list[dict[str, Any]] = [
+        {"name": name, "seconds": seconds} for name, seconds in recorder(5 if quick else 20)
     ]
-    rows.append(("a block of compiled steps", 1e6 * per_block))
-
-    # Count these calls in a run of MIHO.
-    counted = Counted(experiment.problem)
-    run = minimize(experiment.optimizer, counted)
-    per_improvement = cost["all", 1000] / 1000
-    spent = (
-        counted.blocks * per_block
-        + counted.batches * cost["none", 1]
-        + len(run.trace) * per_improvement
-    )
-    worst = max(cost["none", batch] / batch for batch in BATCHES[1:])
-    bars = [
-        Bar(
-            "recorder per evaluation, batches of 10+, none improve", 1e6 * worst, AT_MOST, 1.0, "us"
-        ),
-        Bar("recorder's share of a MIHO run", 100 * spent / run.seconds, AT_MOST, 1.0, "%"),
-    ]
-    notes = [
-        f"the MIHO run: {run.evaluations:,.0f} evaluations in {run.seconds:.2f} s, "
-        f"{counted.blocks} blocks, {counted.batches} batches, {len(run.trace)} improvements, "
-        f"{1e3 * spent:.1f} ms of recording",
-    ]
-    frame = pd.DataFrame(rows, columns=["name", "us"])
-    return Measured(frame, frame, bars, notes)
+    worst = max(row["seconds"] for row in rows[2:] if "none" in row["name"])
+    name = "recorder per evaluation, batches of 10+, none improve"
+    bars, notes, versions = [Bar(name, 1e6 * worst, AT_MOST, 1.0, "us")], [], {}
+    for form in FORMS:
+        if form == "miho, Dask" and DASK not in engines():
+            notes.append(f"left out: {form}, which is not installed (extra cluster)")
+            continue
+        try:
+            rows.append(tasks(form, 2 if quick else TURNS))
+        except ModuleNotFoundError as error:
+            notes.append(f"left out: {form}, which is not installed ({error})")
+            continue
+        if form in LIBRARIES:
+            versions[LIBRARIES[form]] = version(LIBRARIES[form])
+        if form in LIMITS:
+            seconds = TASKS * rows[-1]["seconds"]
+            name = f"{TASKS:,} tasks of nothing, {form}"
+            bars.append(Bar(name, seconds, AT_MOST, LIMITS[form], "s"))
+    frame = pd.DataFrame(rows)
+    frame.insert(1, "us", 1e6 * frame.pop("seconds"))
+    facts = {"tasks": TASKS, "workers": WORKERS, "versions": versions, "seed": None}
+    return Measured(frame.astype(object).fillna(""), frame, bars, notes, facts)
 
 
 if __name__ == "__main__":

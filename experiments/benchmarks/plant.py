@@ -1,6 +1,6 @@
 """Speed and accuracy of the plants, and the time to plan a lap.
 
-python -m experiments.benchmarks.plant [--quick]
+python -m experiments.benchmarks.plant [--quick] [--output FOLDER]
 
 Speed is simulated seconds per second of one thread, at a step of 1 ms: plant 1 in control periods
 of 10 ms, as in a closed loop, and of 100 ms; plant 2 in control periods, if its package is
@@ -12,7 +12,6 @@ a step of 0.125 ms is shown for each step. Plans are of a lap of LVMS; the media
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -23,9 +22,15 @@ import pandas as pd
 from omegaconf import OmegaConf
 
 from experiments.app.compose import CONF
-from experiments.app.console import BUG, OK, run_and_exit
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine, turns
-from miho.study import single_thread
+from experiments.benchmarks.bars import (
+    AT_LEAST,
+    AT_MOST,
+    Bar,
+    Measured,
+    benchmark,
+    interleaved,
+    turns,
+)
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.double_track import DoubleTrack
 from miho.vehicle.driving.driver import Driver
@@ -152,45 +157,28 @@ def plans(vehicle: Vehicle) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def measure(quick: bool) -> list[Bar]:
-    """Print all figures and return the bars."""
+def measure(quick: bool) -> Measured:
+    """Measure speed, accuracy and plans."""
     vehicle = av21()
     car = embedded_plant(vehicle)
-    fast = speeds(car, quick)
-    print(f"\n{fast.to_string(index=False, float_format='{:.4g}'.format)}\n")
-    errors = convergence(car)
-    print(f"{errors.to_string(index=False, float_format='{:.3g}'.format)}\n")
+    fast, errors, planned = speeds(car, quick), convergence(car), plans(vehicle)
     laps = [lap_time(vehicle, step) for step in STEPS[:2]]
-    print(f"lap of IMS in closed loop: {laps[0]:.6f} s, half the step {laps[1]:.6f} s\n")
-    planned = plans(vehicle)
-    print(f"{planned.to_string(index=False, float_format='{:.4g}'.format)}\n")
     ends = [end_of(replace(car, step=step)) for step in STEPS[:2]]
     moved = float(np.hypot(ends[0].x - ends[1].x, ends[0].y - ends[1].y))
     length = sum(seconds for seconds, _ in DRIVE) * 40.0
-    return [
+    bars = [
         Bar("real time factor of plant 1", float(fast["times real time"].iloc[0]), AT_LEAST, 50.0),
         Bar("half the step: lap time, relative", abs(laps[1] / laps[0] - 1), AT_MOST, 1e-4),
         Bar("half the step: end of the open-loop drive, per metre", moved / length, AT_MOST, 1e-4),
         Bar("a plan of LVMS", float(planned["plan [ms]"].max()), AT_MOST, 50.0, "ms"),
     ]
-
-
-def main() -> None:
-    """Measure on one thread, print, and exit with 1 if a bar is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer repeats")
-    quick: bool = parser.parse_args().quick
-
-    def job() -> int:
-        print(machine())
-        with single_thread():
-            bars = measure(quick)
-        for bar in bars:
-            print(bar)
-        return OK if all(bar.met for bar in bars) else BUG
-
-    run_and_exit(job)
+    notes = [
+        errors.to_string(index=False, float_format="{:.3g}".format),
+        f"\nlap of IMS in closed loop: {laps[0]:.6f} s, half the step {laps[1]:.6f} s\n",
+        planned.to_string(index=False, float_format="{:.4g}".format),
+    ]
+    return Measured(fast, fast, bars, notes)
 
 
 if __name__ == "__main__":
-    main()
+    benchmark(__doc__, measure, "plant")
