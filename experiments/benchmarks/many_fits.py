@@ -1,18 +1,17 @@
-"""Thousands of small fits: `miho.fit_many`, a loop of curve_fit; lmfit and JAX if installed.
+"""Thousands of small fits: `miho.fit_many`, a loop of curve_fit, and JAX if installed.
 
 python -m experiments.benchmarks.many_fits [--quick] [--output FOLDER]
 
 A decay to a level: 50 rows, three parameters. Fits from a start descend from a point 20 % from the
 truth; fits without a start search the box. All alternate in one run on one thread. A rate is the
-rate of the fastest turn: one call of `fit_many` for all datasets, or a loop of a rival over LOOPED
-datasets. On a busy machine the rate per CPU second is more reliable.
+rate of the fastest turn: one call of `fit_many` for all datasets, or a loop of `curve_fit` over
+LOOPED datasets. On a busy machine the rate per CPU second is more reliable.
 NumPy's `fit_many` is one call with a function that cannot be traced. JAX makes the same number of
 batched steps for all datasets, compiled before (`jax_fits`).
 """
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Callable
 from functools import partial
@@ -54,19 +53,10 @@ def measure(quick: bool) -> Measured:
     near = 1.2 * truth
     start = dict(zip(BOX, near.T, strict=True))
     jobs: dict[str, Callable[[], object]] = {
-        "curve_fit, start": partial(looped, _curve_fit, t, y, near),
+        "curve_fit, start": partial(looped, t, y, near),
         "fit_many, start": partial(miho.fit_many, decay, t, y, BOX, start=start),
         "fit_many": partial(miho.fit_many, decay, t, y, BOX),
     }
-    try:
-        lmfit = importlib.import_module("lmfit")
-    except ImportError:
-        pass
-    else:
-        model = lmfit.Model(decay)
-        jobs["lmfit, start"] = partial(
-            looped, lambda t, y, p: model.fit(y, x=t, a=p[0], b=p[1], c=p[2]), t, y, near
-        )
     fits = dict.fromkeys(jobs, LOOPED) | {"fit_many": count, "fit_many, start": count}
     batched = jax_fits(t, y, near)
     if batched is not None:
@@ -107,14 +97,10 @@ def _timed(job: Callable[[], object], spent: list[float]) -> None:
     spent.append(time.process_time() - started)
 
 
-def looped(fit: Callable[[Array, Array, Array], object], t: Array, y: Array, near: Array) -> None:
+def looped(t: Array, y: Array, near: Array) -> None:
     """Fit the first LOOPED datasets one after the other."""
     for values, start in zip(y[:LOOPED], near[:LOOPED], strict=True):
-        fit(t, values, start)
-
-
-def _curve_fit(t: Array, y: Array, start: Array) -> object:
-    return curve_fit(decay, t, y, start)
+        curve_fit(decay, t, values, start)
 
 
 def _as_good(table: pd.DataFrame, t: Array, y: Array, truth: Array) -> list[bool]:
