@@ -19,15 +19,17 @@ from miho.vehicle.driving.dynamics import (
     VX,
     VY,
     WHEELS,
+    Car,
     N,
     R,
     S,
+    car_of,
     derivative,
     loads_of,
 )
 from miho.vehicle.driving.friction_schedule import FrictionSchedule
 from miho.vehicle.driving.plant import Command, Motion, Plant, steps_of
-from miho.vehicle.driving.plant_parameters import Car, Tires, car_of
+from miho.vehicle.driving.plant_parameters import Tires
 from miho.vehicle.driving.powertrain import engine_speed
 from miho.vehicle.driving.road import PLANE, Road, place_at, shape_at
 from miho.vehicle.driving.vehicle import Vehicle
@@ -205,7 +207,7 @@ def _write_outputs(
     outputs[0], outputs[1], outputs[2] = place_at(road, y[S], y[N] * math.cos(bank))
     outputs[3] = bank
     rear = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
-    outputs[4], _ = engine_speed(car.engine, car.driveline[0], gear, closed, rear)
+    outputs[4], _ = engine_speed(car.engine, car.vehicle[0], gear, closed, rear)
     outputs[5], outputs[6] = derivative(car, road, gear, closed, (0.0, 0.0, 0.0), y, slope)
     outputs[7], outputs[8], outputs[9], outputs[10] = loads_of(car, road, y)
 
@@ -221,10 +223,10 @@ def _shift(car: Car, y: Array, gearbox: Array, gear_command: int, step: float) -
         gearbox[1] -= step
     elif gear_command != gear:
         mean = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
-        largest = car.driveline[0].engine_speed_max
+        largest = car.vehicle[0].engine_speed_max
         if gear_command == 0 or car.engine.ratios[gear_command - 1] * mean <= largest:
             gear = gear_command
-            gearbox[0], gearbox[1] = gear, car.driveline[0].shift_time
+            gearbox[0], gearbox[1] = gear, car.vehicle[0].shift_time
     return gear, gearbox[1] <= step / 2
 
 

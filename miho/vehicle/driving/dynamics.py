@@ -19,21 +19,27 @@ Ch. 7-8.
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from miho.quantities import Array, g
-from miho.vehicle.driving.compiled_tire import wheel_forces
+from miho.vehicle.driving.compiled_tire import wheel_forces, wheel_tire
 from miho.vehicle.driving.compiling import part
-from miho.vehicle.driving.load_transfer import wheel_loads
-from miho.vehicle.driving.plant_parameters import Car
+from miho.vehicle.driving.load_transfer import LoadTransfer, wheel_loads
+from miho.vehicle.driving.plant_parameters import Engine, Tires, engine_of, record_of
 from miho.vehicle.driving.powertrain import (
     against,
-    brake_torques,
+    braking_torques,
     engine_speed,
     pressure_rate,
     rear_accelerations,
     torque_rate,
 )
 from miho.vehicle.driving.road import Road, shape_at
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.models.brake import Brake
+from miho.vehicle.models.engine_map import EngineMap
 
 S, N, CHI, VX, VY, R, AX, AY, DELTA, TORQUE, PRESSURE = range(11)
 WHEELS, KAPPA, TAN_ALPHA, SIZE = 11, 15, 19, 23
@@ -50,6 +56,32 @@ LARGEST_SLIP = 1.5
 """Largest slip ratio and tan(alpha), far beyond the peaks of the forces."""
 
 
+class Car(NamedTuple):
+    """All numbers of a car, without the road.
+
+    Except for the engine, fields are arrays of records with the fields of the named class, (1,),
+    and (4,) for the tires, because compiled code takes arrays by reference.
+    """
+
+    engine: Engine
+    vehicle: Any  # Vehicle
+    brake: Any  # Brake
+    loads: Any  # LoadCoefficients
+    tires: Any  # `wheel_tire`
+
+
+def car_of(vehicle: Vehicle, tires: Tires, engine: EngineMap, brake: Brake) -> Car:
+    """Return the numbers of a car."""
+    inclinations = (vehicle.inclination_front,) * 2 + (vehicle.inclination_rear,) * 2
+    return Car(
+        engine_of(vehicle, engine),
+        np.array([record_of(vars(vehicle))]),
+        np.array([record_of(vars(brake))]),
+        np.array([record_of(LoadTransfer(vehicle).coefficients._asdict())]),
+        np.array(list(map(wheel_tire, tires, inclinations))),
+    )
+
+
 @part
 def derivative(
     car: Car, road: Road, gear: int, closed: bool, inputs: tuple[float, float, float],
@@ -60,10 +92,10 @@ def derivative(
     gear is the engaged gear, 0 for neutral; closed is false during a shift. inputs are the delayed
     steering [rad], throttle and brake pressure [Pa].
     """
-    c = car.chassis[0]
+    v = car.vehicle[0]
     fx, fy, moment = _wheels(car, road, gear, closed, y, dy)
-    ax = (fx - c.C_d * y[VX] * abs(y[VX])) / c.mass
-    ay = fy / c.mass
+    ax = (fx - v.C_d * y[VX] * abs(y[VX])) / v.mass
+    ay = fy / v.mass
 
     curvature, bank = shape_at(road, y[S])
     sine, cosine = math.sin(y[CHI]), math.cos(y[CHI])
@@ -73,20 +105,19 @@ def derivative(
     dy[CHI] = y[R] - curvature * level * dy[S]
     dy[VX] = ax + y[VY] * y[R] + g * lean * sine
     dy[VY] = ay - y[VX] * y[R] + g * lean * cosine
-    dy[R] = moment / c.Izz
-    dy[AX] = (ax - y[AX]) / c.load_lag
-    dy[AY] = (ay - y[AY]) / c.load_lag
+    dy[R] = moment / v.Izz
+    dy[AX] = (ax - y[AX]) / v.load_lag
+    dy[AY] = (ay - y[AY]) / v.load_lag
 
     steering, throttle, brake = inputs
-    steering = min(max(steering, -c.steering_max), c.steering_max)
-    turning = (steering - y[DELTA]) / c.steering_lag
-    dy[DELTA] = min(max(turning, -c.steering_rate), c.steering_rate)
+    steering = min(max(steering, -v.steering_max), v.steering_max)
+    turning = (steering - y[DELTA]) / v.steering_lag
+    dy[DELTA] = min(max(turning, -v.steering_rate), v.steering_rate)
     mean = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
-    d = car.driveline[0]
-    omega, _ = engine_speed(car.engine, d, gear, closed, mean)
+    omega, _ = engine_speed(car.engine, v, gear, closed, mean)
     # During a shift the ignition is cut, and the turbo keeps its speed.
-    dy[TORQUE] = torque_rate(car.engine, d, y[TORQUE], omega, throttle) if closed else 0.0
-    dy[PRESSURE] = pressure_rate(car.brakes[0], y[PRESSURE], brake)
+    dy[TORQUE] = torque_rate(car.engine, v, y[TORQUE], omega, throttle) if closed else 0.0
+    dy[PRESSURE] = pressure_rate(car.brake[0], y[PRESSURE], brake)
     return ax, ay
 
 
@@ -109,9 +140,9 @@ def _wheels(
 
     The function also writes the rates of the wheels and their slips.
     """
-    c, d = car.chassis[0], car.driveline[0]
+    v = car.vehicle[0]
     loads = loads_of(car, road, y)
-    on_front, on_rear = brake_torques(car.brakes[0], y[PRESSURE])
+    on_front, on_rear = braking_torques(v, car.brake[0], y[PRESSURE])
     sine, cosine = math.sin(y[DELTA]), math.cos(y[DELTA])
     fx = fy = moment = 0.0
     rear = (0.0, 0.0)
@@ -119,26 +150,25 @@ def _wheels(
         front = i < 2
         side = 1.0 if i % 2 == 0 else -1.0
         # Position of the wheel, and velocity along and across it.
-        px = c.lf if front else -c.lr
-        py = side * (c.half_track_front if front else c.half_track_rear)
+        px = v.lf if front else -v.lr
+        py = side * (v.track_front if front else v.track_rear) / 2
         sin_d, cos_d = (sine, cosine) if front else (0.0, 1.0)
         vx, vy = y[VX] - y[R] * py, y[VY] + y[R] * px
         along, across = vx * cos_d + vy * sin_d, vy * cos_d - vx * sin_d
         omega = y[WHEELS + i]
-        radius = c.radius_front if front else c.radius_rear
+        radius = v.wheel_radius_front if front else v.wheel_radius
         # Slips with relaxation, and with damping near standstill.
         sliding = omega * radius - along
-        dy[KAPPA + i] = _slip_rate(y[KAPPA + i], sliding, along, c.relaxation_x)
-        dy[TAN_ALPHA + i] = _slip_rate(y[TAN_ALPHA + i], across, along, c.relaxation_y)
+        dy[KAPPA + i] = _slip_rate(y[KAPPA + i], sliding, along, v.relaxation_x)
+        dy[TAN_ALPHA + i] = _slip_rate(y[TAN_ALPHA + i], across, along, v.relaxation_y)
         damping = _damping(along)
         kappa = y[KAPPA + i] + damping * sliding
         alpha = math.atan(y[TAN_ALPHA + i] + damping * across)
         # Forces of the tire, and torque on the wheel.
         long, lat = wheel_forces(car.tires[i], loads[i], kappa, alpha, along, road.friction)
-        braking = on_front + c.rolling_torque_front if front else on_rear + c.rolling_torque_rear
-        torque = against(braking, omega) - radius * long
+        torque = against(on_front if front else on_rear, omega) - radius * long
         if front:
-            dy[WHEELS + i] = torque / d.wheel_inertia
+            dy[WHEELS + i] = torque / (v.wheel_inertia / 4)
         else:
             rear = (torque, 0.0) if i == 2 else (rear[0], torque)
         # Sum over the wheels.
@@ -147,7 +177,7 @@ def _wheels(
         fy += wheel_y
         moment += px * wheel_y - py * wheel_x
     dy[WHEELS + 2], dy[WHEELS + 3] = rear_accelerations(
-        car.engine, d, gear, closed, y[TORQUE], y[WHEELS + 2], y[WHEELS + 3], rear
+        car.engine, v, gear, closed, y[TORQUE], y[WHEELS + 2], y[WHEELS + 3], rear
     )
     return fx, fy, moment
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from miho.quantities import Array
 from miho.vehicle.driving.plant import Command, Motion, Plant, steps_of
-from miho.vehicle.driving.plant_parameters import Engine
+from miho.vehicle.driving.plant_parameters import engine_of
 from miho.vehicle.driving.powertrain import map_torque
 from miho.vehicle.driving.road import PLANE, Road, place_at
 from miho.vehicle.driving.vehicle import Vehicle
@@ -220,7 +220,7 @@ class MultiBody(Plant[MultiBodyState]):
         if gear > 0:
             inertia += float(v.longitudinal.equivalent_mass(gear))
             lever = v.efficiency * v.gear_ratios[gear - 1] * v.final_drive / v.wheel_radius
-        engine = Engine(self.engine.openings, self.engine.speeds, self.engine.table, np.ones(1))
+        engine = engine_of(v, self.engine)
 
         def acceleration(vx: float) -> float:
             force = -(braking + v.C_d * vx**2) if vx > 0 else 0.0

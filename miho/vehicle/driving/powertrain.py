@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from miho.quantities import Array
 from miho.vehicle.driving.compiling import part
-from miho.vehicle.driving.plant_parameters import Brakes, Driveline, Engine
+from miho.vehicle.driving.plant_parameters import Engine
+from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.models.brake import Brake
 
 CUT = 20.0
 """Range above the largest engine speed over which the limiter closes the throttle [rad/s]."""
@@ -15,8 +17,8 @@ STICTION = 1.0
 @part
 def map_torque(e: Engine, omega: float, throttle: float) -> float:
     """Return the torque [Nm] at an engine speed [rad/s] and an opening, as `EngineMap.torque`."""
-    i = _cell(e.speeds, omega)
-    k = _cell(e.openings, throttle)
+    i = cell(e.speeds, omega)
+    k = cell(e.openings, throttle)
     right = (omega - e.speeds[i]) / (e.speeds[i + 1] - e.speeds[i])
     up = (throttle - e.openings[k]) / (e.openings[k + 1] - e.openings[k])
     right, up = min(max(right, 0.0), 1.0), min(max(up, 0.0), 1.0)
@@ -27,7 +29,7 @@ def map_torque(e: Engine, omega: float, throttle: float) -> float:
 
 
 @part
-def _cell(axis: Array, at: float) -> int:
+def cell(axis: Array, at: float) -> int:
     """Return the cell of a rising axis with a point, the first or last one beyond the ends."""
     low, high = 0, axis.size - 2
     while low < high:
@@ -40,32 +42,30 @@ def _cell(axis: Array, at: float) -> int:
 
 
 @part
-def engine_speed(
-    e: Engine, d: Driveline, gear: int, closed: bool, rear: float
-) -> tuple[float, bool]:
+def engine_speed(e: Engine, v: Vehicle, gear: int, closed: bool, rear: float) -> tuple[float, bool]:
     """Return the engine speed [rad/s], and whether the clutch locks it to the rear wheels.
 
     Below the idle speed, the clutch slips and the engine keeps the idle speed.
     """
     if gear == 0:
-        return d.idle_speed, False
+        return v.idle_speed, False
     locked = e.ratios[gear - 1] * rear
-    return max(locked, d.idle_speed), closed and locked >= d.idle_speed
+    return max(locked, v.idle_speed), closed and locked >= v.idle_speed
 
 
 @part
-def torque_rate(e: Engine, d: Driveline, torque: float, omega: float, throttle: float) -> float:
+def torque_rate(e: Engine, v: Vehicle, torque: float, omega: float, throttle: float) -> float:
     """Return the rate of the engine torque [Nm/s], which follows the map with a lag."""
-    allowed = min(max((d.engine_speed_max + CUT - omega) / CUT, 0.0), 1.0)
+    allowed = min(max((v.engine_speed_max + CUT - omega) / CUT, 0.0), 1.0)
     steady = map_torque(e, omega, throttle * allowed)
-    rate: float = (steady - torque) / (d.spool_rise if steady > torque else d.spool_fall)
+    rate: float = (steady - torque) / (v.spool_rise if steady > torque else v.spool_fall)
     return rate
 
 
 @part
 def rear_accelerations(
     e: Engine,
-    d: Driveline,
+    v: Vehicle,
     gear: int,
     closed: bool,
     torque: float,
@@ -78,19 +78,19 @@ def rear_accelerations(
     torque is the engine torque [Nm], and outer the torque of tire and brake on each wheel [Nm].
     Gears and engine inertia act on the mean of both wheels, as in `Longitudinal`.
     """
-    I = d.wheel_inertia  # noqa: E741
+    I = v.wheel_inertia / 4  # noqa: E741
     total = outer[0] + outer[1]
     mean = total / (2 * I)
-    _, locked = engine_speed(e, d, gear, closed, (left + right) / 2)
+    _, locked = engine_speed(e, v, gear, closed, (left + right) / 2)
     if locked:
         ratio = e.ratios[gear - 1]
-        drives = torque >= d.engine_inertia * ratio * mean
-        lever = ratio * (d.efficiency if drives else 1 / d.efficiency)
-        mean = (total + lever * torque) / (2 * I + lever * d.engine_inertia * ratio)
+        drives = torque >= v.engine_inertia * ratio * mean
+        lever = ratio * (v.efficiency if drives else 1 / v.efficiency)
+        mean = (total + lever * torque) / (2 * I + lever * v.engine_inertia * ratio)
     elif closed and gear > 0:
-        mean += e.ratios[gear - 1] * d.efficiency * max(torque, 0.0) / (2 * I)
+        mean += e.ratios[gear - 1] * v.efficiency * max(torque, 0.0) / (2 * I)
     through_gears = 2 * I * mean - total
-    across = d.differential_damping * (left - right)
+    across = v.differential_damping * (left - right)
     return (
         (outer[0] + through_gears / 2 - across) / I,
         (outer[1] + through_gears / 2 + across) / I,
@@ -98,14 +98,20 @@ def rear_accelerations(
 
 
 @part
-def brake_torques(b: Brakes, pressure: float) -> tuple[float, float]:
-    """Return the torques of a front and a rear wheel [Nm] at a front pressure [Pa]."""
-    front = b.K_front * max(pressure - b.P0_front, 0.0)
-    return front, b.K_rear * max(pressure * b.rear - b.P0_rear, 0.0)
+def braking_torques(v: Vehicle, b: Brake, pressure: float) -> tuple[float, float]:
+    """Return the torques that slow a front and a rear wheel [Nm] at a front pressure [Pa].
+
+    Rolling resistance is distributed as the weight.
+    """
+    front = b.K_front / 2 * max(pressure - b.P0_front, 0.0)
+    rear = b.K_rear / 2 * max(pressure * ((1 - b.bias) / b.bias) - b.P0_rear, 0.0)
+    front += v.C_r * v.lr / (v.lf + v.lr) / 2 * v.wheel_radius_front
+    rear += v.C_r * v.lf / (v.lf + v.lr) / 2 * v.wheel_radius
+    return front, rear
 
 
 @part
-def pressure_rate(b: Brakes, pressure: float, command: float) -> float:
+def pressure_rate(b: Brake, pressure: float, command: float) -> float:
     """Return the rate of the pressure [Pa/s] towards the command, which is limited to P_max."""
     target = min(command, b.P_max)
     rate: float = (target - pressure) / (b.tau_rise if target > pressure else b.tau_fall)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from miho.validate import settings_at_least
-from miho.vehicle.driving.inverse_powertrain import PowertrainModel, effort, powertrain_model
+from miho.vehicle.driving.inverse_powertrain import effort
+from miho.vehicle.driving.plant_parameters import Engine, engine_of, record_of
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.brake import Brake
 from miho.vehicle.models.engine import RPM
@@ -117,7 +120,7 @@ class SpeedController:
         integral = min(max(integral, -rules.integral_max), rules.integral_max)
         a = max(ax + rules.feedback * miss + integral, -rules.brake_max)
         gear, gear_since = self._gear(state, vx, period)
-        needed = effort(self._model, a, vx, gear)
+        needed = effort(*self._numbers, a, vx, gear)
         braking, since = self._pedal(state, needed.brake, period)
         throttle, pressure = 0.0, 0.0
         if braking:
@@ -132,11 +135,13 @@ class SpeedController:
         )
 
     @cached_property
-    def _model(self) -> PowertrainModel:
-        return powertrain_model(self.vehicle, self.engine)
+    def _numbers(self) -> tuple[Engine, Any]:
+        """Engine and vehicle for compiled code."""
+        vehicles = np.array([record_of(vars(self.vehicle))])
+        return engine_of(self.vehicle, self.engine), vehicles
 
     def _engine_speed(self, vx: float, gear: int) -> float:
-        return vx * float(self._model.levers[gear - 1])
+        return vx * float(self._numbers[0].ratios[gear - 1] / self.vehicle.wheel_radius)
 
     def _pedal(self, state: SpeedState, excess: float, period: float) -> tuple[bool, float]:
         """Return whether to brake, and the time since the last change [s]."""

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from miho.vehicle.driving.plant import Command
-from miho.vehicle.driving.plant_parameters import Engine, car_of
-from miho.vehicle.driving.powertrain import map_torque
+from miho.vehicle.driving.plant_parameters import engine_of
+from miho.vehicle.driving.powertrain import braking_torques, map_torque
 from miho.vehicle.models import BrakeResponse
 from tests.vehicle.driving.plants import driven, plant, symmetric
 
 
 def test_the_engine_map_is_the_same() -> None:
     true = plant().engine
-    numbers = Engine(true.openings, true.speeds, true.table, np.ones(1))
+    numbers = engine_of(plant().vehicle, true)
     rng = np.random.default_rng(0)
     for omega, throttle in zip(rng.uniform(50, 800, 200), rng.uniform(0, 1, 200), strict=True):
         expected = float(true.torque(omega, throttle))
@@ -99,12 +99,13 @@ def test_a_locked_differential_holds_the_wheels_together() -> None:
     assert spread[1] < spread[0]
 
 
-def test_the_numbers_are_those_of_the_models() -> None:
-    car = plant()
-    numbers = car_of(car.vehicle, car.tires, car.engine, car.brake)
-    brakes = numbers.brakes[0]
-    pressure = 3e6
-    front = brakes["K_front"] * (pressure - brakes["P0_front"]) * 2 / car.vehicle.wheel_radius_front
-    rear = brakes["K_rear"] * (pressure * brakes["rear"] - brakes["P0_rear"]) * 2
-    total = front + rear / car.vehicle.wheel_radius
-    assert total == pytest.approx(float(car.brake.force_of_pressure(pressure)), rel=1e-12)
+def test_the_brakes_are_those_of_the_model() -> None:
+    """The torques of both wheels of each axle, without rolling resistance, at their radii."""
+    vehicle, brake = plant().vehicle, plant().brake
+    front, rear = braking_torques(vehicle, brake, 3e6)
+    rolling_front, rolling_rear = braking_torques(vehicle, brake, 0.0)
+    total = 2 * (front - rolling_front) / vehicle.wheel_radius_front
+    total += 2 * (rear - rolling_rear) / vehicle.wheel_radius
+    assert total == pytest.approx(float(brake.force_of_pressure(3e6)), rel=1e-12)
+    rolling = rolling_front / vehicle.wheel_radius_front + rolling_rear / vehicle.wheel_radius
+    assert 2 * rolling == pytest.approx(vehicle.C_r, rel=1e-12)
