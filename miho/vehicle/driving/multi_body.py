@@ -219,14 +219,15 @@ class MultiBody(Plant[MultiBodyState]):
         inertia, lever = float(self.parameters.m), 0.0
         if gear > 0:
             inertia += float(v.longitudinal.equivalent_mass(gear))
-            lever = v.efficiency * v.gear_ratios[gear - 1] * v.final_drive / v.wheel_radius
+            lever = v.gear_ratios[gear - 1] * v.final_drive / v.wheel_radius
         engine = engine_of(v, self.engine)
 
         def acceleration(vx: float) -> float:
             force = -(braking + v.C_d * vx**2) if vx > 0 else 0.0
             omega = self._engine_speed(vx, gear)
-            pulled: float = lever * map_torque(engine, omega, command.throttle)
-            return (force + pulled) / inertia
+            torque = map_torque(engine, omega, command.throttle)
+            force += lever * torque * (v.efficiency if torque >= 0 else 1 / v.efficiency)
+            return force / inertia
 
         return acceleration
 

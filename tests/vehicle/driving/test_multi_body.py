@@ -54,6 +54,17 @@ def test_its_axles_are_its_own_tires(car: MultiBody) -> None:
             assert float(axle.force(alpha)) == pytest.approx(expected, rel=1e-9)
 
 
+def test_the_gears_add_to_the_braking_of_the_engine(car: MultiBody) -> None:
+    """With closed throttle, power flows from the wheels to the engine: T i / (eta R), within 10 %."""
+    v = car.own_vehicle
+    coasting = car.motion(car.advance(car.start(speed=20.0, gear=1), Command(gear=1), 0.5))
+    torque = float(car.engine.torque(coasting.engine_speed, 0.0))
+    lever = v.gear_ratios[0] * v.final_drive / v.wheel_radius
+    force = torque * lever / v.efficiency - v.C_r - v.C_d * coasting.vx**2
+    mass = v.mass + float(v.longitudinal.equivalent_mass(1))
+    assert coasting.ax == pytest.approx(force / mass, rel=0.1)
+
+
 def test_commands_act_on_its_mass(car: MultiBody) -> None:
     """As its longitudinal model says at that speed, within 10 %: its wheels are heavier."""
     v = car.own_vehicle
