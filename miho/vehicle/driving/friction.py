@@ -21,6 +21,8 @@ from miho.vehicle.driving.vehicle import Vehicle
 
 BISECTIONS = 40
 """Number of bisections that reduce 100 m/s or m/s^2 to 1e-10."""
+MOST = 100.0
+"""An acceleration beyond the friction of any car [m/s^2]."""
 
 
 class Demand(NamedTuple):
@@ -129,6 +131,21 @@ def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Arra
     return use
 
 
+@part
+def farthest(
+    car: FrictionCar, v: float, ax: float, lateral: float, to: tuple[float, float], gravity: float
+) -> tuple[float, float]:
+    """Return the farthest (ax, lateral) within the friction on the way to another such pair."""
+    to_ax, to_lateral = to
+    for _ in range(BISECTIONS):
+        middle_ax, middle_lateral = (ax + to_ax) / 2, (lateral + to_lateral) / 2
+        if friction_use(car, v, middle_ax, middle_lateral, gravity) <= 1:
+            ax, lateral = middle_ax, middle_lateral
+        else:
+            to_ax, to_lateral = middle_ax, middle_lateral
+    return ax, lateral
+
+
 @compiled
 def limits_and_use(
     car: FrictionCar, v: Array, ax: Array, curvature: Array, bank: Array
@@ -142,13 +159,6 @@ def limits_and_use(
     for i in range(v.size):
         lateral, gravity = point_demand(v[i], curvature[i], bank[i])
         use[i] = friction_use(car, v[i], ax[i], lateral, gravity)
-        sign = 1.0 if lateral >= 0 else -1.0
-        low, high = 0.0, 100.0
-        for _ in range(BISECTIONS):
-            middle = (low + high) / 2
-            if friction_use(car, v[i], ax[i], sign * middle, gravity) <= 1:
-                low = middle
-            else:
-                high = middle
-        limit[i] = low
+        most = MOST if lateral >= 0 else -MOST
+        limit[i] = abs(farthest(car, v[i], ax[i], 0.0, (ax[i], most), gravity)[1])
     return limit, use

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
 
 from miho.quantities import Array
 
@@ -134,3 +137,12 @@ def steps_of(duration: float, step: float) -> int:
     if not (count > 0.5 and abs(count - round(count)) < 1e-6):
         raise ValueError(f"duration is {duration} s; expected a multiple of the step, {step:g} s")
     return round(count)
+
+
+def channels_of(motions: Sequence[Motion], commands: Sequence[Command]) -> dict[str, Array]:
+    """Return the channels of a `DrivingLog` from measured motions and their commands."""
+    names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
+    channels = {name: np.array([getattr(row, name) for row in motions], float) for name in names}
+    channels["brake"] = np.array([row.brake_pressure for row in motions])
+    channels["throttle"] = np.array([command.throttle for command in commands])
+    return channels

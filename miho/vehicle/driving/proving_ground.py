@@ -11,7 +11,7 @@ import numpy as np
 
 from miho.validate import settings_at_least
 from miho.vehicle.data.driving_log import DrivingLog
-from miho.vehicle.driving.plant import Command, Motion, Plant
+from miho.vehicle.driving.plant import Command, Motion, Plant, channels_of
 from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.engine import RPM
@@ -22,7 +22,6 @@ PERIOD = 0.01
 """Time from one command, and sample, to the next [s]."""
 LEAD = 0.5
 """Time of rolling before a pedal is pressed [s], so that a log shows the step."""
-MEASURED = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
 SLOWEST, FASTEST = 1500 * RPM, 6800 * RPM
 """Range of engine speeds with a constant opening [rad/s]."""
 HELD_GEARS = (2, 3, 4)
@@ -89,11 +88,8 @@ class Recording:
     def log(self, name: str, sensors: Sensors, rng: np.random.Generator) -> DrivingLog:
         """Return the log of sensors, with noise from `rng`."""
         rows = [sensors.measure(motion, rng) for motion in self.motions]
-        channels = {key: np.array([getattr(row, key) for row in rows], float) for key in MEASURED}
-        channels["time"] = PERIOD * np.arange(len(rows))
-        channels["brake"] = np.array([row.brake_pressure for row in rows])
-        channels["throttle"] = np.array([command.throttle for command in self.commands])
-        return DrivingLog(name, channels)
+        channels = channels_of(rows, self.commands)
+        return DrivingLog(name, channels | {"time": PERIOD * np.arange(len(rows))})
 
 
 def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:

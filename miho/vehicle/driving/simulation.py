@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -14,7 +14,7 @@ from miho.validate import positive
 from miho.vehicle.data.driving_log import DrivingLog
 from miho.vehicle.driving.driver import Driver, DriverState, place
 from miho.vehicle.driving.learning_driver import LearningDriver
-from miho.vehicle.driving.plant import Command, Motion, Plant
+from miho.vehicle.driving.plant import Command, Motion, Plant, channels_of
 from miho.vehicle.driving.sensors import Sensors
 
 State = TypeVar("State")
@@ -118,13 +118,15 @@ def simulate(
     state, motion = start, plant.motion(start)
     memory, line = driver.begin(motion), driver.plan.line
     rows: list[list[float]] = []
-    measurements: list[tuple[Motion, Command]] = []
+    measurements: list[Motion] = []
+    commands: list[Command] = []
     driven, before = 0.0, memory.at
     while driven < distance and motion.time < longest:
         measured = motion if sensors is None or rng is None else sensors.measure(motion, rng)
         command, memory = driver.step(memory, measured)
         rows.append(_row(motion, memory, driven))
-        measurements.append((measured, command))
+        measurements.append(measured)
+        commands.append(command)
         state = plant.advance(state, command, driver.period)
         motion = plant.motion(state)
         at = line.project(motion.x, motion.y, before).s
@@ -135,7 +137,7 @@ def simulate(
         if memory.stopped and math.hypot(motion.vx, motion.vy) < STANDING:
             break
     columns = dict(zip(LOGGED, np.array(rows).T, strict=True))
-    return Drive(columns, _channels(measurements), memory.stopped)
+    return Drive(columns, channels_of(measurements, commands), memory.stopped)
 
 
 def _row(motion: Motion, memory: DriverState, driven: float) -> list[float]:
@@ -150,15 +152,3 @@ def _row(motion: Motion, memory: DriverState, driven: float) -> list[float]:
         *moving, *motion.loads, driven, at.s, error.e_y, error.e_psi, float(point.curvature),
         float(point.bank), *planned, *memory.command, float(bool(memory.stopped)),
     ]  # fmt: skip
-
-
-def _channels(measurements: Sequence[tuple[Motion, Command]]) -> dict[str, Array]:
-    """Return channels of a driving log from measured motions and their commands."""
-    names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
-    channels = {
-        name: np.array([getattr(motion, name) for motion, _ in measurements], dtype=float)
-        for name in names
-    }
-    channels["brake"] = np.array([motion.brake_pressure for motion, _ in measurements])
-    channels["throttle"] = np.array([command.throttle for _, command in measurements])
-    return channels

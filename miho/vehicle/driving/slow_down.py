@@ -10,9 +10,10 @@ import numpy as np
 from miho.quantities import Array
 from miho.vehicle.driving.compiling import compiled, part
 from miho.vehicle.driving.friction import (
-    BISECTIONS,
+    MOST,
     FrictionCar,
     demand,
+    farthest,
     friction_use,
     limits_and_use,
     point_demand,
@@ -82,11 +83,4 @@ def _deceleration(car: FrictionCar, v: float, curvature: float, bank: float, mos
     turning = friction_use(car, v, 0.0, lateral, gravity)
     if turning > TURNING:
         lateral *= TURNING / turning
-    good, bad = 0.0, most
-    for _ in range(BISECTIONS):
-        middle = (good + bad) / 2
-        if friction_use(car, v, -middle, lateral, gravity) <= 1:
-            good = middle
-        else:
-            bad = middle
-    return good
+    return -farthest(car, v, 0.0, lateral, (-min(most, MOST), lateral), gravity)[0]

@@ -141,10 +141,7 @@ class Track:
     @property
     def _columns(self) -> tuple[Array, ...]:
         """Arrays of the track in the order of `TrackPoint`."""
-        return (
-            self.x, self.y, self.heading, self.curvature, self.bank, self.width_left,
-            self.width_right,
-        )  # fmt: skip
+        return tuple(getattr(self, name) for name in TrackPoint._fields)
 
     def _check_closed(self) -> None:
         end = self.at(self.length * (1 - 1e-12))
@@ -189,16 +186,9 @@ def _points(
 
 @compiled
 def _project(
-    x: float,
-    y: float,
-    s: float,
-    length: float,
-    turn: float,
-    xs: Array,
-    ys: Array,
-    heading: Array,
-    curvature: Array,
-) -> tuple[float, float]:
+    x: float, y: float, s: float, length: float, turn: float, xs: Array, ys: Array,
+    heading: Array, curvature: Array,
+) -> tuple[float, float]:  # fmt: skip
     """Project by Newton's method on the distance along the line, for `Track.project`."""
     n = xs.size
     step = length / n

@@ -20,8 +20,11 @@ from miho.vehicle.driving.friction import (
     BISECTIONS,
     FrictionCar,
     demand,
+    farthest,
     friction_car,
+    friction_use,
     limits_and_use,
+    point_demand,
     use_on_line,
 )
 from miho.vehicle.driving.grip import Grip
@@ -271,28 +274,17 @@ def _passes(
 @part
 def _largest(car: FrictionCar, v: float, highest: float, curvature: float, bank: float) -> float:
     """Return the largest acceleration [m/s^2] from 0 to `highest` within the tires' friction."""
-    if use_on_line(car, v, highest, curvature, bank) <= 1:
+    lateral, gravity = point_demand(v, curvature, bank)
+    if friction_use(car, v, highest, lateral, gravity) <= 1:
         return highest
-    good, bad = 0.0, highest
-    for _ in range(BISECTIONS):
-        middle = (good + bad) / 2
-        if use_on_line(car, v, middle, curvature, bank) <= 1:
-            good = middle
-        else:
-            bad = middle
-    return good
+    return farthest(car, v, 0.0, lateral, (highest, lateral), gravity)[0]
 
 
 @part
 def _entry(
-    car: FrictionCar,
-    powers: _Powers,
-    v: float,
-    after: float,
-    curvature: float,
-    bank: float,
+    car: FrictionCar, powers: _Powers, v: float, after: float, curvature: float, bank: float,
     step: float,
-) -> float:
+) -> float:  # fmt: skip
     """Return the largest speed up to v from which the car can slow down to `after` in a step."""
     if _can_slow(car, powers, v, after, curvature, bank, step):
         return v
@@ -308,14 +300,9 @@ def _entry(
 
 @part
 def _can_slow(
-    car: FrictionCar,
-    powers: _Powers,
-    v: float,
-    after: float,
-    curvature: float,
-    bank: float,
+    car: FrictionCar, powers: _Powers, v: float, after: float, curvature: float, bank: float,
     step: float,
-) -> bool:
+) -> bool:  # fmt: skip
     ax = (after * after - v * v) / (2 * step)
     if ax < np.interp(v, powers.speeds, powers.least):
         return False

@@ -62,6 +62,15 @@ def test_a_plan_from_too_high_a_speed_falls_to_the_plan() -> None:
     assert slowed_from(plan, plan.friction, 500.0, 1.0, 10.0) is plan
 
 
+def test_without_a_limit_of_the_brakes_the_tires_slow_the_car() -> None:
+    """A planner without a brake has no largest deceleration; the tires end far below 50 m/s^2."""
+    plan = car().planner(0.5, 70.0).plan(lvms(step=5.0, flat=True))
+    unlimited, limited = (
+        slowed_from(plan, plan.friction, 500.0, 65.0, most) for most in (math.inf, 50.0)
+    )
+    np.testing.assert_allclose(unlimited.v, limited.v, atol=1e-6)
+
+
 def test_the_driver_plans_and_steers_with_the_friction_of_the_source() -> None:
     """After the first command the plan is the one for 0.7 of the grip."""
     line = lvms(step=5.0, flat=True)

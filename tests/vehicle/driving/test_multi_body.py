@@ -55,7 +55,7 @@ def test_its_axles_are_its_own_tires(car: MultiBody) -> None:
 
 
 def test_the_gears_add_to_the_braking_of_the_engine(car: MultiBody) -> None:
-    """With closed throttle, power flows from the wheels to the engine: T i / (eta R), within 10 %."""
+    """With closed throttle, power flows from the wheels to the engine: within 10 %."""
     v = car.own_vehicle
     coasting = car.motion(car.advance(car.start(speed=20.0, gear=1), Command(gear=1), 0.5))
     torque = float(car.engine.torque(coasting.engine_speed, 0.0))
