@@ -165,6 +165,14 @@ def test_fig6_says_when_a_mean_is_undefined() -> None:
     assert "0.40  MIHO" in texts(figure)
 
 
+def test_fig6_shows_the_digits_of_small_errors() -> None:
+    steps = {"miho": [[(1.0, 9.48e-5)]] * 2, "pso_100": [[(1.0, 0.0166)]] * 2}
+    written = texts(fig6(*frames(steps, unit="m", irreducible=(7.03e-5, 9.9e-5))))
+    assert "9.48e-05  MIHO" in written
+    assert "0.0166  PSO-100" in written
+    assert any("7.03e-05 to 9.90e-05 m" in text.replace("\n", " ") for text in written)
+
+
 def test_fig6_refuses_two_problems() -> None:
     runs, curves = frames({"miho": [[(1.0, 400.0)]] * 2})
     with pytest.raises(ValueError, match="one problem at a time"):

@@ -177,7 +177,8 @@ def fig6(
     low, high = float(runs["irreducible_low"].min()), float(runs["irreducible_high"].max())
     irreducible = (low, high) if np.isfinite(low) else None
     clock, styles = clock_of(runs), distinct(runs["optimizer"])
-    band = f"grey: irreducible error, {low * factor:.2f} to {high * factor:.2f} {shown_in}"
+    ends = f"{_rounded(low * factor)} to {_rounded(high * factor)} {shown_in}"
+    band = f"grey: irreducible error, {ends}"
     plot = partial(plot_error_over, unit=unit, irreducible=irreducible, styles=styles)
     with new_figure(6.1, NARROW) as figure:
         above, below = figure.subplots(2, 1, sharey=True, height_ratios=[1.15, 1])
@@ -267,9 +268,13 @@ def _final_labels(
     for method, style in styles.items():
         errors = runs.loc[runs["optimizer"] == method, "error"].to_numpy(dtype=float) * factor
         final = float(errors.mean()) if np.isfinite(errors).all() else float("nan")
-        printed = f"{final:.2f}" if final < 10 else number(final)
-        labels.append(EndLabel(final, f"{printed}  {style.name}", style))
+        labels.append(EndLabel(final, f"{_rounded(final)}  {style.name}", style))
     return labels
+
+
+def _rounded(error: float) -> str:
+    """Two decimals from 0.1 to 10, as in the paper; three significant digits beyond."""
+    return f"{error:.2f}" if 0.1 <= error < 10 else number(error)
 
 
 def plain_log_ticks(ax: Axes) -> None:
