@@ -90,7 +90,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "the multirun flag after overrides": (["seed=1,2", "-m"], 0, "2 runs: 2 ran"),
     "the long flag": (["--multirun", "seed=1,2"], 0, "2 runs: 2 ran"),
     "hydra.mode": (["hydra.mode=MULTIRUN", "seed=1,2"], 0, "2 runs: 2 ran"),
-    "one job": (["-m"], 0, "1 runs: 1 ran"),
+    "one job": (["-m"], 0, "1 run: 1 ran"),
     "sweeper.params": (["-m", "+hydra.sweeper.params.seed='1,2,3'"], 0, "3 runs: 3 ran"),
     "params in braces": (["-m", "hydra.sweeper.params={seed: 'range(2)'}"], 0, "2 runs: 2 ran"),
     "max_batch_size": (["-m", "seed=range(3)", "hydra.sweeper.max_batch_size=2"], 0, "3 runs: 3 r"),
@@ -99,6 +99,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "no values": (["-m", "seed=range(0)"], 2, "has no values"),
     "an unknown experiment": (["+experiment="], 2, r"\S"),
     "an experiment twice": (["+experiment=compare"], 2, "experiment"),
+    "a setting": (["-m", "dataset.n=40,50"], 0, r"n=40 +\w+ +1 (.|\n)*n=50 +\w+ +1 "),
     "--cfg job": (["--cfg", "job"], 0, r"seed: 0\nworkers"),
     "--cfg hydra": (["--cfg", "hydra"], 0, r"_target_: hydra_plugins.miho_pool.PoolLauncher"),
     "--cfg all": (["--cfg", "all"], 0, r"hydra:\n  run:"),
@@ -110,13 +111,13 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "--version": (["--version"], 0, r"[Hh]ydra 1\."),
     "--config-name": (["--config-name=compare", "--cfg", "job"], 0, "seconds: 4.0"),
     "-sc install=bash": (["-sc", "install=bash"], 0, "hydra_bash_completion|COMP"),
-    "output_subdir": (["-m", "hydra.output_subdir=record"], 0, "1 runs: 1 ran"),
-    "a verbose logger": (["-m", "hydra.verbose=true"], 0, "1 runs: 1 ran"),
-    "job_logging": (["-m", "hydra/job_logging=none"], 0, "1 runs: 1 ran"),
-    "an environment variable": (["-m", "dataset.tire=${oc.env:A_TIRE}"], 0, "1 runs: 1 ran"),
+    "output_subdir": (["-m", "hydra.output_subdir=record"], 0, "1 run: 1 ran"),
+    "a verbose logger": (["-m", "hydra.verbose=true"], 0, "1 run: 1 ran"),
+    "job_logging": (["-m", "hydra/job_logging=none"], 0, "1 run: 1 ran"),
+    "an environment variable": (["-m", "dataset.tire=${oc.env:A_TIRE}"], 0, "1 run: 1 ran"),
     "a missing extra": (["-m", "hydra/launcher=nothing"], 2, "allowed are"),
     "a deleted group": (["~loss"], 2, "loss"),
-    "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 runs: 1 ran"),
+    "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 run: 1 ran"),
 }  # fmt: skip
 QUICK = ("several values without -m", "--cfg job")
 
@@ -192,7 +193,7 @@ def test_an_experiment_sweeps_by_itself(typed: Typed, tmp_path: Path) -> None:
 def test_what_is_typed_replaces_the_sweep_of_an_experiment(typed: Typed) -> None:
     ended = typed("experiment=paper_fig6", "seed=0", "sweep.dry_run=true")
     assert ended.code == 0, ended.err
-    assert "1 runs: 1 to do" in ended.out, "optimizer=random and seed=0 are typed"
+    assert "1 run: 1 to do" in ended.out, "optimizer=random and seed=0 are typed"
     whole = typed("-m", "experiment=paper_fig6", "sweep.dry_run=true", tiny=False)
     assert "180 runs: 180 to do" in whole.out, whole.err
 

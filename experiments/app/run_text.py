@@ -15,6 +15,7 @@ from experiments.app.build import Experiment
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
 from experiments.app.working import State
+from miho.analysis.variants import named_apart
 from miho.identification import Square, linear_optimum
 from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import marked
@@ -22,6 +23,8 @@ from miho.identification.validation import root_mean_square
 from miho.optim import Descents, in_optimum
 from miho.parallel.usage import Usage
 from miho.study import Status, StoredRun
+from miho.study.identity import Identity, canonical
+from miho.study.settings import RunRequest, differing, parts_of
 
 ENDINGS = {
     "converged": "itself",
@@ -43,7 +46,7 @@ def print_summary(states: Sequence[State]) -> int:
         print(_report_command(root, states))
     counts = Counter(state.status for state in states)
     text = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    print(f"{len(states)} runs: {text}")
+    print(f"{len(states)} run{'s' * (len(states) != 1)}: {text}")
     return SOME_FAILED if bad else OK
 
 
@@ -51,7 +54,7 @@ def _report_command(root: str, states: Sequence[State]) -> str:
     """Command that reports on the runs of a root, with --trust if their model is a file."""
     identities = (state.request.identity for state in states if state.request.root == root)
     files = sorted({file for identity in identities for file in model_files(identity.config)})
-    files_run = f" (--trust runs {', '.join(files)})" if files else ""
+    files_run = f" (--trust allows it to run {', '.join(files)})" if files else ""
     trust = " --trust" if files else ""
     return f"how far to trust the best of them{files_run}: " + (
         f"python -m experiments.report {shlex.quote(root)}{trust}"
@@ -59,20 +62,26 @@ def _report_command(root: str, states: Sequence[State]) -> str:
 
 
 def _print_errors(states: Sequence[State]) -> None:
-    """Print the number of runs and their errors, one line per problem and method."""
-    names = [state.request.identity for state in states]
-    rows = [
-        (name.problem, name.optimizer, state.error, state.unit)
-        for name, state in zip(names, states, strict=True)
-        if state.error is not None
-    ]
-    if rows:
-        runs = pd.DataFrame(rows, columns=["problem", "method", "error", "unit"])
-        groups = runs.groupby(["problem", "method"])
+    """Print the number of runs and their errors, one line per problem, method and setting."""
+    ended = [state for state in states if state.error is not None]
+    if ended:
+        names = [state.request.identity for state in ended]
+        rows = [
+            (name.problem, name.optimizer, state.error, state.unit)
+            for name, state in zip(names, ended, strict=True)
+        ]
+        runs = pd.DataFrame(rows, columns=["problem", "optimizer", "error", "unit"])
+        runs = named_apart(runs.join(differing([_run_request(name) for name in names])))
+        groups = runs.rename(columns={"optimizer": "method"}).groupby(["problem", "method"])
         table = groups["error"].agg(["count", "min", "median", "max"])
         table["unit"] = groups["unit"].first()
         lines = table.to_string(float_format="%.5g").splitlines()
         print("\n".join(["errors by problem and method:", *map(str.rstrip, lines)]))
+
+
+def _run_request(name: Identity) -> RunRequest:
+    parts = parts_of(canonical(name.config).encode())
+    return RunRequest(name.problem, name.optimizer, name.seed, parts, name.code, name.data)
 
 
 def result_text(experiment: Experiment, stored: StoredRun) -> str:
