@@ -27,6 +27,7 @@ from experiments.app.execution import result_line
 from miho import load_runs
 from miho.parallel.usage import Usage
 from miho.study import Status
+from miho.study.manifest import sweep_overrides
 from miho.study.store import read_run
 from tests.faults.misbehaviour import MODEL
 
@@ -403,11 +404,13 @@ def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Pat
     code, out, err = identify(*chosen, "-m", "seed=0,1")
     assert code == 0, err
     assert out.splitlines()[-1] == "2 runs: 1 ran, 1 done before"
+    ((folder, *_),) = sweep_overrides(tmp_path / "runs")
+    assert Path(folder.removeprefix("--config-dir=")).resolve() == own
     # What the hint says can be typed, and reports on the runs of a model that is code in a file.
     (hint,) = (line for line in out.splitlines() if line.startswith("how far to trust"))
     words = shlex.split(hint.partition(": ")[2])
     assert words == ["python", "-m", "experiments.report", str(tmp_path / "runs"), "--trust"]
-    assert f"--trust runs {own / 'decay.py'}" in hint
+    assert f"--trust allows it to run {own / 'decay.py'}" in hint
     assert "Mine." in identify("--config-dir", str(own), "experiment", "--help")[1]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -169,7 +170,7 @@ def draw(
     from miho.analysis.compare.comparison import write_comparison
 
     root, output = Path(cfg.root), Path(cfg.comparison.output)
-    command = ["python", "-m", "experiments.compare", *overrides]
+    command = ["python", "-m", "experiments.compare", *map(shlex.quote, overrides)]
     ids = [request.identity.id for request in plan]
     write_comparison(root, command, note, ids)
     if cfg.comparison.problems:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -150,10 +151,9 @@ def _made_by(root: Path, runs: pd.DataFrame) -> Sequence[str]:
     if declared is not None and len(declared.runs) == len(runs):
         return declared.command
     sweeps = [
-        ["python -m experiments.identify -m", *(w for w in words if not w.startswith("fresh="))]
-        for words in sweep_overrides(root)
+        ["python", "-m", "experiments.identify", "-m", *words] for words in sweep_overrides(root)
     ]
-    return [" && ".join(map(" ".join, sweeps)) or command_line("experiments.figures")]
+    return [" && ".join(map(shlex.join, sweeps)) or command_line("experiments.figures")]
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,8 +29,8 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def command_line(module: str) -> str:
-    """The command line of this process, which runs `module`."""
-    return " ".join(["python -m", module, *sys.argv[1:]])
+    """The command line of this process, which runs `module`, quoted for a shell."""
+    return shlex.join(["python", "-m", module, *sys.argv[1:]])
 
 
 def lasting(environment: Mapping[str, Any]) -> dict[str, Any]:
