@@ -70,6 +70,18 @@ class Runs:
     requests: tuple[RunRequest, ...]
     """For each row of `runs`, its request and environment."""
 
+    def __repr__(self) -> str:
+        """Numbers of runs, methods and problems, for interpreters."""
+        runs = self.runs
+        counts = {
+            "run": len(runs),
+            "method": runs["optimizer"].nunique(),
+            "problem": runs["problem"].nunique(),
+        }
+        many = ", ".join(f"{n:,} {name}{'s' * (n != 1)}" for name, n in counts.items())
+        skipped = f", {len(self.skipped):,} damaged" if self.skipped else ""
+        return f"<Runs in {self.top}: {many}{skipped}; tables: runs, curves, damaged>"
+
     @property
     def curves(self) -> pd.DataFrame:
         """Id, problem, optimizer, seed, settings, evaluations, seconds, cpu_seconds and error."""

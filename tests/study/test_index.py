@@ -39,6 +39,8 @@ def forge(folder: Path, curve: Any = None, **changes: Any) -> None:
 def test_every_number_is_that_of_the_files(tmp_path: Path) -> None:
     folders = make_runs(tmp_path, 300, np.random.default_rng(0))
     runs = load_runs(tmp_path)
+    assert repr(runs).startswith(f"<Runs in {tmp_path}: ")
+    assert len(repr(runs)) < 200 + len(str(tmp_path)), "the texts of curves are not printed"
     assert runs.damaged.empty
     assert (len(runs.runs), len(runs.curves)) == (300, 300 * POINTS)
     assert runs.runs["folder"].tolist() == sorted(map(str, folders))
