@@ -80,6 +80,8 @@ def test_an_option_in_a_folder_is_its_method_with_other_settings(option: str) ->
 
 def test_a_method_can_be_named() -> None:
     assert build(composed(["optimizer=miho", "method=mine"])).identity.optimizer == "mine"
+    with pytest.raises(ConfigError, match="write optimizer=pso_100 to choose a method"):
+        composed(["optimizer=miho", "method=pso_100"])
     unnamed = plain(composed(["optimizer=pso_500"])) | {"method": None}
     assert build(unnamed).identity.optimizer == "pso", "the class names it"
 

@@ -62,10 +62,17 @@ def job_config(config: DictConfig, choices: Mapping[str, str | None]) -> DictCon
     """Copy `config` without its node `hydra`, and add the name of its method.
 
     Unless `method` gives the name, it is the chosen option of the group `optimizer` without its
-    folder.
+    folder. Raises ConfigError if `method` is the name of another option.
     """
+    option = (choices.get("optimizer") or "").rpartition("/")[2] or None
     with open_dict(config):
         config.pop("hydra", None)
         if config.get("method") is None:
-            config["method"] = (choices.get("optimizer") or "").rpartition("/")[2] or None
+            config["method"] = option
+    name = str(config["method"])
+    if option not in (None, name) and (CONF / "optimizer" / f"{name}.yaml").exists():
+        raise ConfigError(
+            f"method={name}: only names the runs, which are of {option}; write optimizer={name} to "
+            "choose a method, or give another name"
+        )
     return config
