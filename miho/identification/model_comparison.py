@@ -12,6 +12,7 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -148,13 +149,21 @@ class ModelComparison:
         return "\n\n".join([*parts, "\n".join(wrapped(f"- {note}") for note in self.notes)])
 
 
-def compare_models(*reports: Report) -> ModelComparison:
+class Reporting(Protocol):
+    """A fit, for example of `miho.fit`, which makes its report."""
+
+    def report(self) -> Report:
+        """The report of the fit."""
+        ...
+
+
+def compare_models(*reports: Report | Reporting) -> ModelComparison:
     """Compare models that were fitted to the same rows with the square loss.
 
     Parameters
     ----------
-    *reports : Report
-        At least two reports on the same rows of the same output.
+    *reports : Report or Fit
+        At least two reports on the same rows of the same output, or fits, whose reports are made.
 
     Returns
     -------
@@ -174,15 +183,19 @@ def compare_models(*reports: Report) -> ModelComparison:
     """
     if len(reports) < 2:
         raise ValueError(f"compare_models: expected at least two reports, got {len(reports)}")
-    names = [report.problem.name for report in reports]
+    made = [given if isinstance(given, Report) else given.report() for given in reports]
+    names = [report.problem.name for report in made]
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"two reports are called {name!r}; give one CurveFit another label")
-    for report in reports:
-        _check_same_data(reports[0], report)
-        _check_same_sigma(reports[0], report)
+            raise ValueError(
+                f"two reports are called {name!r}; give one function another name, or one CurveFit "
+                "another label"
+            )
+    for report in made:
+        _check_same_data(made[0], report)
+        _check_same_sigma(made[0], report)
         _check_comparable(report)
-    return ModelComparison(tuple(reports))
+    return ModelComparison(tuple(made))
 
 
 def _check_same_data(first: Report, second: Report) -> None:

@@ -6,6 +6,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+import miho
 from miho import compare_models
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber, Report, make_report
@@ -171,7 +172,7 @@ def test_models_are_nested_if_one_can_follow_the_other() -> None:
     ("change", "message"),
     [
         ("one", "expected at least two reports, got 1"),
-        ("name", "two reports are called 'line'; give one CurveFit another label"),
+        ("name", "two reports are called 'line'; give one function another name"),
         ("data", "line and other are fits of different data .y in 50 rows of data, y in 49 of"),
         ("loss", "other has the loss Huber; expected Square, for which criteria"),
         ("exact", "other reproduces every row to rounding"),
@@ -200,3 +201,22 @@ def test_bad_input(change: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as error:
         compare_models(*reports)
     assert "\n" not in str(error.value)
+
+
+def test_fits_are_compared_by_their_reports() -> None:
+    x = np.linspace(0, 2, 30)
+    y = 2 * np.exp(-1.5 * x) + 0.05 * np.random.default_rng(1).standard_normal(30)
+    fits = [
+        miho.fit(model, x, y, dict.fromkeys("abc"[:number], (0, 3)))
+        for number, model in ((2, decay), (3, settling))
+    ]
+    expected = compare_models(*(fit.report() for fit in fits))
+    assert str(compare_models(*fits)) == str(expected)
+
+
+def decay(x: Array, a: float, b: float) -> Array:
+    return np.asarray(a * np.exp(-b * x))
+
+
+def settling(x: Array, a: float, b: float, c: float) -> Array:
+    return np.asarray(a * np.exp(-b * x) + c)
