@@ -51,7 +51,8 @@ def lines_of(path: Path) -> list[str]:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         column = error.start - data.rfind(b"\n", 0, error.start)
-        raise CSVError(path, line, column, "not UTF-8 text; save the file as UTF-8") from None
+        remedy = "save the file as UTF-8, or convert it, for example by iconv -f latin1 -t utf-8"
+        raise CSVError(path, line, column, f"not UTF-8 text; {remedy}") from None
     del data
 
     # Check the number and length of lines, and refuse control characters.

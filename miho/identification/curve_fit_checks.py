@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.data.dataset import Dataset
+from miho.data.units import UNITS
 from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionFormula, FunctionModel
 from miho.models.model import Model, expensive_leaves
@@ -51,7 +52,11 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     needed_units = (*model.parameters.values(), *model.inputs.values(), model.output)
     for (place, unit), needed in zip(declared.items(), needed_units, strict=True):
         if unit != needed and needed and unit:
-            raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
+            raise ValueError(
+                f"{place} has unit {unit!r}; model {model_name} needs {needed!r}"
+                + f"; write the model for {unit!r}, since files are read in SI units"
+                * (unit == UNITS.get(needed, (None,))[0])
+            )
 
     _check_output_size(problem)
     if isinstance(model, FunctionFormula):  # which was compared with its function
@@ -155,7 +160,7 @@ def space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[st
         differences = [f"has them in the order {', '.join(declared)}"]
     return (
         f"model {model_name} needs the parameters {', '.join(needed)}; the space "
-        f"{' and '.join(differences)}; give it these parameters"
+        f"{' and '.join(differences)}; give it these parameters, or choose a space that has them"
     )
 
 

@@ -211,6 +211,9 @@ def test_shapes_are_checked_once() -> None:
 
 
 def test_the_space_must_fit_the_model() -> None:
+    class InKilonewtons(Pacejka):
+        output = "kN"
+
     p = problem()
     with pytest.raises(
         ValueError, match="needs the parameters B, C, D, Sx, Sy; the space lacks Sy"
@@ -224,6 +227,8 @@ def test_the_space_must_fit_the_model() -> None:
         CurveFit(p.model, Dataset("d", data, {"alpha": "deg", "Fy": "N"}, "Fy"), SPACE)
     with pytest.raises(ValueError, match=r"output 'Fy' of d has unit 'kN'; .* needs 'N'"):
         CurveFit(p.model, Dataset("d", data, {"alpha": "rad", "Fy": "kN"}, "Fy"), SPACE)
+    with pytest.raises(ValueError, match=r"unit 'N'; .* needs 'kN'; write the model for 'N'"):
+        CurveFit(InKilonewtons(), p.dataset, SPACE)
     other = Dataset("d", {"slip": np.ones(3), "Fy": np.ones(3)}, {"slip": "1", "Fy": "N"}, "Fy")
     with pytest.raises(ValueError, match="no column 'alpha'"):
         CurveFit(p.model, other, SPACE)
