@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import pickle
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -173,6 +174,9 @@ def test_errors_that_drift_widen_intervals_and_it_is_said() -> None:
         drift[k] = 0.9 * drift[k - 1] + 0.05 * noise[k]
     fit = miho.fit(decay, t, decay(t, 2.0, 1.5) + drift, BOX, compiled=False)
     assert "intervals allow for correlated errors" in flat(fit)
+    assert "times as wide" not in flat(fit)
+    cut = miho.fit(decay, t, y, {"a": (0, 5), "b": (0, 1)}, compiled=False)
+    assert re.search(r"neighbouring rows, up to \d\d+ times as wide: fit.report\(\)", flat(cut))
     assert "intervals allow" not in str(miho.fit(decay, t, y, BOX, compiled=False))
     plain = fit.uncertainty.independent.standard_errors
     assert (fit.parameters["standard_error"].to_numpy() > 1.2 * plain).all()

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from miho.identification.alternatives import several_values
-from miho.identification.dependence import alike_beside_priors
+from miho.identification.dependence import alike_beside_priors, widening
 from miho.identification.flags import REMEDY, doubtful, ended_at_bounds, held_at_bounds, unseen
 from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
     from miho.fitting.fit_result import Fit
 
+WIDE = 10.0
+"""The printed fit says how much correlated errors widen the intervals from this factor on."""
+
 
 def printed(fit: Fit) -> tuple[str, list[str]]:
     """The table of parameters as text, and the lines below it, of any length."""
@@ -22,7 +27,6 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
     rows = len(fit.problem.dataset)
     error = with_unit(f"error {fit.error:.5g}", fit.problem.unit)
     weights = "" if fit.problem.weights is None else ", weighted by sigma"
-    alike = "; intervals allow for correlated errors of neighbouring rows"
     narrow = (
         "; errors of neighbouring rows are correlated, and intervals do not allow for them "
         "together with priors"
@@ -33,7 +37,7 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
     except ValueError:  # too few rows
         marks = marked(fit.problem, fit.theta, None)
     size = "; ".join([f"{error} (root mean square of {rows:,} rows{weights})", *marks])
-    size += f"{alike * _dependent(fit)}{narrow * priors}"
+    size += f"{_dependent(fit)}{narrow * priors}"
     # The caveats explain an optimum in doubt.
     limits = " ".join(f"{limit}." for limit in at_limits(fit.problem, fit.theta))
     known = limits if fit._conclusion.doubt else fit.optimum.replace(". ", ".\n")
@@ -42,11 +46,18 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
     return table, lines
 
 
-def _dependent(fit: Fit) -> bool:
+def _dependent(fit: Fit) -> str:
+    """The remark on correlated errors, with the widening of the intervals if it is large."""
     try:
-        return fit.uncertainty.dependence is not None
+        at = fit.uncertainty
     except ValueError:  # too few rows to tell
-        return False
+        return ""
+    if at.dependence is None:
+        return ""
+    usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+    widest = float(widening(at, np.eye(usable.size)[usable]).max(initial=1.0))
+    much = f", up to {widest:.0f} times as wide: fit.report() gives the reason"
+    return f"; intervals allow for correlated errors of neighbouring rows{much * (widest >= WIDE)}"
 
 
 def caveats(fit: Fit) -> list[str]:

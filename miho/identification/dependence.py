@@ -109,6 +109,11 @@ def dependent(
     )
 
 
+def widening(at: Linearised, axes: Array) -> Array:
+    """How much correlated errors widen the intervals along `axes` (n, d), as factors (n,)."""
+    return np.asarray(at.reach(axes) / at.independent.reach(axes))
+
+
 def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
     """The significant correlation of neighbouring errors that priors exclude from the model; or 0.
 

@@ -11,7 +11,7 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.dependence import EVENT, alike_beside_priors
+from miho.identification.dependence import EVENT, alike_beside_priors, widening
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.identification.uncertainty import parameters_at_bounds
 from miho.optim.space import Space
@@ -290,8 +290,7 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
 
 def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
     """A sentence on correlated neighbours, and the widening of intervals along `axes` (n, d)."""
-    wider = at.reach(axes) / at.independent.reach(axes)
-    factors = list(dict.fromkeys(f"{factor:.1f}" for factor in np.sort(wider)[[0, -1]]))
+    factors = list(dict.fromkeys(f"{f:.1f}" for f in np.sort(widening(at, axes))[[0, -1]]))
     sentence = (
         f"the errors of neighbouring rows are correlated ({dependence.correlation:.2f}), so the "
         "rows carry less information than independent rows would: standard errors and intervals "
