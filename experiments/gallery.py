@@ -17,6 +17,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 from PIL import Image
 
+from experiments.app.arguments import chosen_names
 from experiments.app.gallery_fmu import build_fmu, missing_for_fmu
 from experiments.app.gallery_pages import FOLDER, NAMES, example_page, index_page, read_example
 
@@ -51,12 +52,9 @@ def write_example(name: str) -> None:
     (FOLDER / f"{name}.md").write_text(page, encoding="utf-8")
 
 
-def main(names: list[str]) -> None:
-    """Run the named examples, or all, and write their pages and the index."""
-    unknown = sorted(set(names) - set(NAMES))
-    if unknown:
-        sys.exit(f"no example is named {', '.join(unknown)}; expected {', '.join(NAMES)}")
-    for name in names or NAMES:
+def main() -> None:
+    """Parse the arguments, run the named examples, or all, and write their pages and the index."""
+    for name in chosen_names(__doc__, NAMES):
         if name == "fmu" and (reason := missing_for_fmu()):
             print(f"fmu: left out: {reason}", file=sys.stderr)
             continue
@@ -66,4 +64,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import re
 import socket
-import sys
 import tempfile
 from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+
+from experiments.app.arguments import chosen_names
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 FOLDER = CHECKOUT / "notebooks"
@@ -63,13 +64,13 @@ def machine_names(notebook: nbformat.NotebookNode) -> list[str]:
     return sorted({*paths, *([host] if re.search(rf"\b{re.escape(host)}\b", text) else [])})
 
 
-def main(names: list[str]) -> None:
-    """Run the named notebooks, or all, and store each with its outputs."""
-    for path in sorted(FOLDER.glob("*.ipynb")):
-        if not names or path.stem in names:
-            print(path.relative_to(CHECKOUT), flush=True)
-            nbformat.write(run_notebook(path), path)
+def main() -> None:
+    """Parse the arguments, run the named notebooks, or all, and store each with its outputs."""
+    for name in chosen_names(__doc__, sorted(path.stem for path in FOLDER.glob("*.ipynb"))):
+        path = FOLDER / f"{name}.ipynb"
+        print(path.relative_to(CHECKOUT), flush=True)
+        nbformat.write(run_notebook(path), path)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

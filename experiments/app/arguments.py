@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
+import inspect
+import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -14,3 +17,19 @@ def as_options(words: Sequence[str], names: Collection[str]) -> list[str]:
 def root_folder(text: str) -> Path:
     """Path of a folder of runs, given with or without `root=`."""
     return Path(text.removeprefix("root="))
+
+
+def chosen_names(description: str | None, names: Sequence[str]) -> Sequence[str]:
+    """Parse a command line that gives some of these names, or none for all of them."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m experiments.{Path(sys.argv[0]).stem}",
+        description=inspect.cleandoc(description or ""),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"by default all: {', '.join(names)}"
+    )
+    chosen: list[str] = parser.parse_args().names
+    if unknown := sorted(set(chosen) - set(names)):
+        parser.error(f"{', '.join(unknown)} is unknown; expected {', '.join(names)}")
+    return chosen or names
