@@ -11,7 +11,6 @@ from miho.identification.constraints import free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import expensive_leaves
 from miho.models.spread import SpreadModel
-from miho.models.tied import Tied
 
 CLOSE = 1e-9
 """Relative difference between values of a tied parameter that counts as rounding."""
@@ -52,15 +51,13 @@ def best_known(problem: CurveFit) -> dict[str, float]:
 
 def _is_allowed(problem: CurveFit, values: dict[str, float]) -> bool:
     """Whether parameters can have these values within bounds, ties and constraints."""
-    model, space = problem.model, problem.space
-    if not isinstance(model, Tied):
-        theta = np.array([values[name] for name in space.names])
-    else:
-        try:
-            theta = free_values(space, model.ties, values)
-        except (KeyError, ValueError):  # its ties differ
-            return False
-        whole = dict(zip(model.ties.names, model.ties.values(theta[None])[0], strict=True))
+    ties, space = problem.model.ties, problem.space
+    try:
+        theta = free_values(space, ties, values)
+    except (KeyError, ValueError):  # its ties differ
+        return False
+    if ties is not None:
+        whole = dict(zip(ties.names, ties.values(theta[None])[0], strict=True))
         if not all(math.isclose(whole[name], values[name], rel_tol=CLOSE) for name in values):
             return False
     return bool(((theta >= space.low) & (theta <= space.high)).all())

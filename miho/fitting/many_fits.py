@@ -113,7 +113,13 @@ def fit_many(
     named = space.names if isinstance(space, Space) else tuple(space)
     first, chosen, _ = data_of(model, *parts.part(0), None, {*named, *names})
     starts = None if start is None else {name: np.ravel(value) for name, value in start.items()}
-    middle = None if starts is None else {name: _middle(value) for name, value in starts.items()}
+    middle = (
+        None
+        if starts is None
+        else {
+            name: float(np.median(value)) if value.size else 0.0 for name, value in starts.items()
+        }
+    )
     bounds = constrained(space_of(chosen, space, middle, fixed or {}, tied or {}), constraints)
     problem = CurveFit(chosen, first, bounds, compiled=False)
     taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
@@ -200,10 +206,6 @@ def _by_numpy(
 
 def _to_check(count: int, seed: int) -> NDArray[np.intp]:
     return np.random.default_rng(seed).permutation(np.arange(count))[:CHECKED]
-
-
-def _middle(values: Array) -> float:
-    return float(np.median(values)) if values.size else 0.0
 
 
 def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Array:

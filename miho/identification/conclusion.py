@@ -70,11 +70,8 @@ def conclusion_from(
     error : float
         Root-mean-square error of the optimum, compared with the lower end of `irreducible`.
 
-    Returns
-    -------
-    Conclusion
-        If a search ended for another reason than its evidence, only the descents of a check can
-        remove the doubt.
+    If a search ended for another reason than its evidence, only the descents of a check can remove
+    the doubt.
     """
     if best_known is not None:
         return _against_the_best_known(loss, best_known, rounding)

@@ -77,13 +77,15 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
     return replace(space, parameters=tuple(parameters), radial=radial)
 
 
-def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
+def free_values(space: Space, ties: Ties | None, values: Mapping[str, float]) -> Array:
     """The free parameters (f,) that give the stated parameters these values.
 
     Raises ValueError for values that violate the constraints.
     """
     theta = np.array([0.0 if p.stands_for else float(values[p.name]) for p in space.parameters])
     shares = {k: p.stands_for for k, p in enumerate(space.parameters) if p.stands_for}
+    if ties is None:
+        return theta
     if ties.radial is not None:
         point = np.array([float(values[name]) for name in ties.radial.names])
         theta[list(shares)] = ties.radial.shares(point)

@@ -357,19 +357,9 @@ class CurveFit(Remade, LeastSquaresProblem):
         return problem
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Mean squared error of each configuration (Eq. 5).
+        """Mean squared errors (n,) of configurations (n, d), in the output's unit squared (Eq. 5).
 
-        Parameters
-        ----------
-        thetas : ndarray of shape (n, d)
-            Configurations, in the units of the space.
-        fidelity : float, optional
-            Fraction of the rows to use, in (0, 1].
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Losses, in the output's unit squared.
+        `fidelity` is the fraction of the rows to use, in (0, 1].
         """
         return self._residuals.losses(thetas, self._rows(fidelity))
 

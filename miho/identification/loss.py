@@ -18,18 +18,7 @@ class Loss(ABC):
 
     @abstractmethod
     def transform(self, residuals: Array) -> Array:
-        """Transform residuals.
-
-        Parameters
-        ----------
-        residuals : ndarray of any shape
-            Residuals in the unit of the output. The result may reuse the array.
-
-        Returns
-        -------
-        ndarray
-            sign(r) sqrt(rho(r)), in the same unit.
-        """
+        """Residuals of any shape as sign(r) sqrt(rho(r)), in the same unit; may reuse the array."""
 
     @abstractmethod
     def influence(self, residuals: Array) -> tuple[Array, Array]:

@@ -90,10 +90,6 @@ def conclusion_on(
         have missed it, and may have missed others.
     best_known : float, optional
         Loss of a recorded optimum.
-
-    Returns
-    -------
-    Conclusion
     """
     loss, rounding = float(problem.loss(theta[None])[0]), problem.resolution
     before = loss if np.array_equal(run, theta) else float(problem.loss(run[None])[0])

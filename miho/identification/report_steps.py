@@ -146,7 +146,7 @@ def make_report(
         if better is not None:
             best = steps.better_of(best, steps.optimum(better), CHECK)
         searches = tuple(search for search in (descents, check) if search is not None)
-        minima = [*minima, *(minimum for search in searches for minimum in search.minima)]
+        minima = [*minima, *Descents.together(searches).minima]
         while True:
             best, optima, curves, omitted = steps.profiled(best, minima)
             at = optima[0]

@@ -94,20 +94,9 @@ class Linearised:
         at_bound: NDArray[np.bool_],
         unidentifiable: NDArray[np.bool_],
     ) -> Linearised:
-        """The uncertainty of functions of the parameters.
+        """The uncertainty of functions of the parameters, with slopes (q, d) at their values (q,).
 
-        Parameters
-        ----------
-        values : ndarray of shape (q,)
-            Values of the functions.
-        slopes : ndarray of shape (q, d)
-            Their derivatives with respect to the parameters.
-        at_bound, unidentifiable : ndarray of bool, shape (q,)
-            The functions that are at a bound, or unidentifiable.
-
-        Returns
-        -------
-        Linearised
+        The marks (q,) say which functions are at a bound, or unidentifiable.
         """
         dependence = self.dependence
         if dependence is not None:

@@ -70,9 +70,12 @@ def optima_within_noise(
         if any(each.is_at(theta) for each in known):
             continue
         fit = refit(problem, theta, deadline=deadline)
-        new = not any(each.is_at(fit.theta) or each.has_curve_of(fit.theta) for each in known)
         other = _Known(problem, fit)
-        if new and fit.cost <= optimum.cost + allowed and other.has_derivatives:
+        if (
+            not any(each.gives(fit.theta) for each in known)
+            and fit.cost <= optimum.cost + allowed
+            and np.isfinite(other.slopes).all()
+        ):
             known.append(other)
     fits = sorted((each.fit for each in known), key=lambda fit: fit.cost)
     return tuple(fit for fit in fits if fit.cost <= fits[0].cost + allowed)
@@ -85,23 +88,21 @@ class _Known:
         self.fit, self._problem = fit, problem
 
     @cached_property
-    def _slopes(self) -> Array:
+    def slopes(self) -> Array:
+        """Derivatives (m, d) of the residuals."""
         return self._problem.jacobian(self.fit.theta)
-
-    @property
-    def has_derivatives(self) -> bool:
-        """Whether all derivatives are finite, so that standard errors exist."""
-        return bool(np.isfinite(self._slopes).all())
 
     def is_at(self, theta: Array) -> bool:
         """Whether parameters (d,) are within REPEATED standard errors of the optimum."""
         if in_place(theta, self.fit.theta):
             return True
-        step = self._slopes @ (theta - self.fit.theta)
+        step = self.slopes @ (theta - self.fit.theta)
         return bool(step @ step <= REPEATED**2 * _roughly(self._problem, self.fit)[0])
 
-    def has_curve_of(self, theta: Array) -> bool:
-        """Whether the residuals at parameters (d,) are the same as at the optimum."""
+    def gives(self, theta: Array) -> bool:
+        """Whether parameters (d,) are this optimum, or have the same residuals."""
+        if self.is_at(theta):
+            return True
         change = self._problem.residuals(theta) - self._problem.residuals(self.fit.theta)
         return bool(change @ change <= SAME_CURVE * self.fit.cost)
 
