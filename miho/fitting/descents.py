@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,7 @@ SMALL = 1e-6
 Indices = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class Ends:
+class Ends(NamedTuple):
     """Ends of descents: configurations (M, d), sums of squares (M,), and which converged."""
 
     thetas: Array
@@ -47,8 +47,7 @@ class Ends:
         lower = other.squares < self.squares
         return Ends(
             np.where(lower[:, None], other.thetas, self.thetas),
-            np.where(lower, other.squares, self.squares),
-            np.where(lower, other.converged, self.converged),
+            *(np.where(lower, new, own) for own, new in zip(self[1:], other[1:], strict=True)),
         )
 
 
@@ -182,15 +181,6 @@ def inverses(J: Array) -> tuple[Array, NDArray[np.bool_]]:
     return root.transpose(0, 2, 1) @ root, 1 - (V**2).sum(axis=1) > INVOLVED**2
 
 
-def normal_matrix(J: Array, fixed: NDArray[np.bool_]) -> Array:
-    """Normal matrix J.T J (n, d, d) of J (n, N, d), with unit rows for fixed parameters (n, d)."""
-    J = np.where(fixed[:, None, :], 0.0, J)
-    A = J.transpose(0, 2, 1) @ J
-    diagonal = np.arange(A.shape[1])
-    A[:, diagonal, diagonal] += fixed
-    return np.asarray(A)
-
-
 def descend(batch: Batch, which: Indices, starts: Array, progress: Callable[[int], object]) -> Ends:
     """Descend with the datasets `which`, each from the best of its starts.
 
@@ -199,11 +189,7 @@ def descend(batch: Batch, which: Indices, starts: Array, progress: Callable[[int
     ends = [
         _descend(batch, chunk, starts) for chunk in batch.chunks(which) if not progress(chunk[0])
     ]
-    return Ends(*(np.concatenate(parts) for parts in zip(*map(_fields, ends), strict=True)))
-
-
-def _fields(ends: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
-    return ends.thetas, ends.squares, ends.converged
+    return Ends(*map(np.concatenate, zip(*ends, strict=True)))
 
 
 def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
@@ -231,7 +217,10 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
         J = batch.slopes(thetas, which[k]) * np.where(log, thetas, 1.0)[:, None, :]
         gradient = np.einsum("ijk,ij->ik", J, r)
         fixed = ((x[k] <= low) & (gradient > 0)) | ((x[k] >= high) & (gradient < 0))
-        A = normal_matrix(J, fixed)
+        # The normal matrix, with unit rows for the parameters that stay.
+        J = np.where(fixed[:, None, :], 0.0, J)
+        A = J.transpose(0, 2, 1) @ J
+        A[:, np.arange(d), np.arange(d)] += fixed
         usable = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
         A[~usable], gradient[fixed] = np.eye(d), 0.0
         scale = np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,21 +34,28 @@ ROUNDING = 1e-12
 CONVERGED, EVIDENT, SINGULAR = 0, 1, 2
 
 
-@dataclass(frozen=True)
-class Optima(Ends):
-    """Ends, their covariance (M, d, d), and flags (M, 3) of `miho/core/many.h`."""
+class Optima(NamedTuple):
+    """`Ends`, their covariance (M, d, d), and flags (M, 3) of `miho/core/many.h`."""
 
+    thetas: Array
+    squares: Array
+    converged: NDArray[np.bool_]
     covariance: Array
     flags: NDArray[np.bool_]
 
+    @property
+    def ends(self) -> Ends:
+        """The ends alone."""
+        return Ends(*self[:3])
+
     def some(self, at: Indices) -> Optima:
         """Results at given positions."""
-        return Optima(*(getattr(self, field.name)[at] for field in fields(self)))
+        return Optima._make(values[at] for values in self)
 
     def put(self, at: Indices, other: Optima) -> None:
         """Replace the results at given positions."""
-        for field in fields(self):
-            getattr(self, field.name)[at] = getattr(other, field.name)
+        for values, new in zip(self, other, strict=True):
+            values[at] = new
 
 
 @dataclass(frozen=True)
@@ -99,11 +106,8 @@ class MachineFits:
         """Covariance (M, d, d); computed with NumPy where derivatives are nearly dependent."""
         singular = np.flatnonzero(optima.flags[:, SINGULAR])
         if singular.size:
-            ends = Ends(
-                optima.thetas[singular], optima.squares[singular], optima.converged[singular]
-            )
             batch = Batch.of(self.model, self.space, self.datasets, singular)
-            optima.covariance[singular] = batch.covariance(ends)
+            optima.covariance[singular] = batch.covariance(optima.some(singular).ends)
         return optima.covariance
 
     def _brackets(self, seed: Sequence[int], count: int) -> Array:

@@ -168,12 +168,12 @@ def _by_machine(
     """Fits of a formula, from starts (1 or M, d) if they are given."""
     everyone = np.arange(len(fits.datasets))
     if starts is not None:
-        ends = fits.descend(everyone, starts[:, None, :], progress)
-        return ends, fits.covariance(ends), {"checked": 0, "better": 0}
+        optima = fits.descend(everyone, starts[:, None, :], progress)
+        return optima.ends, fits.covariance(optima), {"checked": 0, "better": 0}
     optima = fits.search(everyone, (seed, 0), progress)
     which = _to_check(len(everyone), seed)
     better = checked(fits, optima, which, seed, BETTER)
-    return optima, fits.covariance(optima), {"checked": len(which), "better": len(better)}
+    return optima.ends, fits.covariance(optima), {"checked": len(which), "better": len(better)}
 
 
 def _by_numpy(
