@@ -139,8 +139,8 @@ class Fit(Remade):
     @cached_property
     def _optima(self) -> tuple[Linearised, ...]:
         """Uncertainties at all optima within the noise, this optimum first."""
+        from miho.identification.alternatives import optima_within_noise
         from miho.identification.uncertainty import linearised
-        from miho.identification.within_noise import optima_within_noise
 
         here = self.uncertainty
         minima = self.minima + (() if self.descents is None else self.descents.minima)
@@ -225,7 +225,7 @@ class Fit(Remade):
     @cached_property
     def _conclusion(self) -> Conclusion:
         """Evidence for the optimum, or doubt about it, as in the report."""
-        from miho.identification.optimum import conclusion_on
+        from miho.identification.conclusion import conclusion_on
 
         searches = () if self.descents is None else (self.descents,)
         started = time.perf_counter()

@@ -169,7 +169,7 @@ def fit(
         check_budget(budget)
     from_journal = isinstance(start, str)
     if isinstance(start, str):
-        from miho.fitting.known_start import check_start
+        from miho.fitting.expensive_fit import check_start
 
         check_start(start, journal)
         start = None
@@ -226,7 +226,7 @@ def fit(
 
         def solved(problem: CurveFit) -> Fit:
             if from_journal:
-                from miho.fitting.known_start import best_known
+                from miho.fitting.expensive_fit import best_known
 
                 return descended(problem, best_known(spread(problem, evaluations)), evaluations)
             if start is None:

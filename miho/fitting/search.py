@@ -139,7 +139,7 @@ def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> F
     minima = fit.descents.minima
     if all(in_place(each.theta, optimum.theta) for each in minima):
         return fit
-    from miho.identification.within_noise import optima_within_noise
+    from miho.identification.alternatives import optima_within_noise
 
     problem = spread(fit.problem, evaluations)
     optima = optima_within_noise(problem, optimum, minima, fit.level)

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
+    from miho.identification.conclusion import linear_optimum
     from miho.identification.curve_fit import CurveFit
     from miho.identification.experimental_design import Design, optimal_design
     from miho.identification.irreducible import irreducible_error
     from miho.identification.loss import Loss, Square
     from miho.identification.model_comparison import ModelComparison, compare_models
-    from miho.identification.optimum import linear_optimum
     from miho.identification.parameters_file import identified
     from miho.identification.posterior import sample_posterior
     from miho.identification.report import Report

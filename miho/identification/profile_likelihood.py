@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
+from miho.identification.alternatives import error_variance
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline
 from miho.identification.limits import Pin
 from miho.identification.refit import OutOfTimeError, Refit, refit
 from miho.identification.stated import reported_space
 from miho.identification.uncertainty import Linearised
-from miho.identification.within_noise import error_variance
 from miho.models.tied import Tied
 from miho.quantities import Array
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from miho.identification.alternatives import minima_at
+from miho.identification.alternatives import minima_at, optima_within_noise
 from miho.identification.bootstrap import replicated
+from miho.identification.conclusion import BOOTSTRAP, CHECK, PROFILE, conclusion_on, linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline, seconds_of_refit
 from miho.identification.flags import REMEDY
-from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, conclusion_on, linear_optimum
 from miho.identification.profile_likelihood import (
     SIGNS,
     Profile,
@@ -29,7 +29,6 @@ from miho.identification.report import Report, rounding_of
 from miho.identification.stated import profiled_parameters, reported_space
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import conditions, leave_one_out, root_mean_square
-from miho.identification.within_noise import optima_within_noise
 from miho.optim import Descents, Minimum, in_optimum
 from miho.parallel import Pool, Workers, open_pool
 from miho.parallel.blocks import in_blocks

@@ -14,12 +14,12 @@ from miho.identification import CurveFit, linearised, make_report
 from miho.identification.alternatives import (
     hull,
     optima_table,
+    optima_within_noise,
     several_values,
 )
 from miho.identification.bootstrap import bootstrap
 from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import Refit, refit
-from miho.identification.within_noise import optima_within_noise
 from miho.optim import Descents, Minimum, Parameter, Space
 from miho.quantities import Array
 from miho.vehicle.models import Pacejka
@@ -180,7 +180,7 @@ def test_more_digits_of_an_optimum_need_no_new_descents(monkeypatch: pytest.Monk
     before = fit.alternatives
     report = fit.report(profiles=False)
     assert not np.array_equal(fit.theta, near), "or this tests nothing"
-    monkeypatch.setattr("miho.identification.within_noise.optima_within_noise", None)
+    monkeypatch.setattr("miho.identification.alternatives.optima_within_noise", None)
     assert fit.alternatives["B"].tolist() == pytest.approx(before["B"], rel=1e-4)
     assert fit.alternatives["B"].tolist() == pytest.approx(report.optima["B"], rel=1e-4)
 
