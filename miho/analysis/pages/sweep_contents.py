@@ -65,26 +65,27 @@ def contents(
 ) -> Contents:
     """The contents for the runs of a root; `made_by` names the program that writes the page."""
     comparison = Comparison.of(sweep.runs, sweep.curves, root)
+    whole = Comparison(sweep.runs, sweep.curves, 0, (), "")
+    compared = comparison if comparison is not None and len(comparison.runs) else whole
     sentences = list(warnings)
-    if comparison is not None and comparison.missing:
-        sentences.insert(
-            0,
-            f"Runs of the comparison are missing ({comparison.missing}): run the same command "
-            "again.",
-        )
+    missing = 0 if comparison is None else comparison.missing
+    if missing:
+        text = f"Runs of the comparison are missing ({missing}): run the same command again."
+        sentences.insert(0, text)
     board = claims = None
     try:
-        board = _leaderboard(sweep, comparison, configured)
-        claims = _claims(sweep, comparison)
+        board = _leaderboard(compared, None if compared is whole else configured)
+        claims = None if missing else _claims(compared)
     except ValueError as error:
         sentences.append(f"A table is missing: {error}.")
+    timed = f"{int(undisturbed(compared.runs).sum())} of {len(compared.runs)}"
     best_known, unrecorded = _references(sweep.runs)
     return Contents(
         title=f"Runs of {root.resolve().name}",
         facts=_facts(sweep, comparison, made_by),
         warnings=sentences,
         leaderboard=board,
-        leaderboard_note=LEADERBOARD.format(timed=_timed(sweep, comparison)),
+        leaderboard_note=LEADERBOARD.format(timed=timed),
         claims=claims,
         claims_note=CLAIMS,
         references=best_known,
@@ -100,36 +101,21 @@ def best_runs(sweep: Sweep) -> dict[str, Path]:
     return {str(problem): Path(firsts[problem]) for problem in order}
 
 
-def _leaderboard(
-    sweep: Sweep, comparison: Comparison | None, configured: Configured | None
-) -> pd.DataFrame | None:
-    """The leaderboard of the comparison, as in its figures, or else of all runs."""
-    runs, curves = sweep.runs, sweep.curves
-    if comparison is not None and len(comparison.runs):
-        runs, curves = comparison.runs, comparison.curves
-        runs = runs if configured is None else configured(runs)
+def _leaderboard(compared: Comparison, configured: Configured | None) -> pd.DataFrame | None:
+    """The leaderboard, as in the figures of a comparison, if there are several problems."""
+    runs = compared.runs if configured is None else configured(compared.runs)
     if runs["problem"].nunique() < 2 or runs["optimizer"].nunique() < 2:
         return None
-    return leaderboard(runs, curves)
+    return leaderboard(runs, compared.curves)
 
 
-def _timed(sweep: Sweep, comparison: Comparison | None) -> str:
-    """The number of undisturbed runs of the leaderboard, for example "3 of 7"."""
-    runs = sweep.runs if comparison is None or comparison.runs.empty else comparison.runs
-    return f"{int(undisturbed(runs).sum())} of {len(runs)}"
-
-
-def _claims(sweep: Sweep, comparison: Comparison | None) -> pd.DataFrame | None:
-    """Claims about MIHO and other methods on a tire, if the comparison is complete."""
-    runs, curves = sweep.runs, sweep.curves
-    if comparison is not None:
-        runs, curves = comparison.runs, comparison.curves
-        if comparison.missing:
-            return None
+def _claims(compared: Comparison) -> pd.DataFrame | None:
+    """Claims about MIHO and other methods, if all runs are on one tire."""
+    runs = compared.runs
     several = runs["optimizer"].map(base_name).nunique() > 1
     if runs["problem"].nunique() != 1 or not several or not is_on_a_tire(runs):
         return None
-    return claims_table(runs, curves)
+    return claims_table(runs, compared.curves)
 
 
 def _references(runs: pd.DataFrame) -> tuple[dict[str, float], set[str]]:
@@ -157,8 +143,11 @@ def _facts(sweep: Sweep, comparison: Comparison | None, made_by: str) -> list[tu
     versions += [f"{key.removeprefix('packages.')} {values[key]}" for key in packages]
     machine = f"{values.get('processor', '-')}, {values.get('cores', '-')} cores"
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC,")
+    about = []
+    if comparison is not None:
+        about = [("Command", " ".join(comparison.command)), ("Size", comparison.note)]
     return [
-        *_comparison_facts(comparison),
+        *about,
         ("Measured", str(values.get("time", "-")).replace("T", " ").replace("+00:00", " UTC")),
         ("Machine", f"{machine}, {values.get('system', '-')}"),
         ("Versions", ", ".join(versions)),
@@ -166,12 +155,6 @@ def _facts(sweep: Sweep, comparison: Comparison | None, made_by: str) -> list[tu
         ("Data", _digests([origin.data for origin in origins])),
         ("Page", f"{now} by {made_by}"),
     ]
-
-
-def _comparison_facts(comparison: Comparison | None) -> list[tuple[str, str]]:
-    if comparison is None:
-        return []
-    return [("Command", " ".join(comparison.command)), ("Size", comparison.note)]
 
 
 def _digests(digests: list[str]) -> str:
