@@ -18,11 +18,17 @@ from numpy.typing import NDArray
 from miho.analysis.compare.running_time import NEAR_BEST, at_factor, references
 from miho.analysis.compare.significance import ranks
 from miho.analysis.curves import log_grid, positions, step
-from miho.analysis.figures.house import AXIS_LABELS, EndLabel, caption, draw_end_labels, time_label
+from miho.analysis.figures.house import (
+    AXIS_LABELS,
+    EndLabel,
+    caption,
+    draw_end_labels,
+    new_figure,
+    time_label,
+)
 from miho.analysis.styles import MethodStyle, styles_of, with_emphasis
 from miho.analysis.tidy import comparison, require_columns
 from miho.analysis.timing import Clock
-from miho.figures.style import WIDTH, house_style
 from miho.quantities import Array
 
 COLUMNS = 4
@@ -54,17 +60,17 @@ def error_curves(
     grid = log_grid(curves, "evaluations", 200)
     columns = min(COLUMNS, len(problems))
     rows = -(-len(problems) // columns)
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 1.45 * rows + 1.1), layout="constrained")
+    with new_figure(1.45 * rows + 1.1) as figure:
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True))
         for ax, problem in zip(panels, problems, strict=False):
             of_problem = runs[runs["problem"] == problem]
             best = float(best_known.loc[problem, "error"])
             plot_gap(of_problem, curves[curves["problem"] == problem], ax, best, grid, styles)
-            title = textwrap.fill(f"{problem} *" if problem in starred else problem, 27)
+            title = f"{problem} *" if problem in starred else problem
+            title = textwrap.fill(title.replace("_", "_ "), 25).replace("_ ", "_")
             ax.set_title(title, loc="left", fontsize=8)
         low, high = panels[0].get_ylim()  # limits of the curves in all panels
-        panels[0].set_ylim(low, min(high, GAP_CEILING))
+        panels[0].set_ylim(max(low, GAP_FLOOR / 2), min(high, GAP_CEILING))
         for ax in panels[len(problems) :]:
             ax.remove()
         for ax in panels[len(problems) - columns : len(problems)]:
@@ -76,7 +82,6 @@ def error_curves(
         text = "error / best known error - 1, gaps below $10^{-6}$ are drawn there"
         lines = "lines: median over repetitions, bands: 10 to 90 %"
         caption(figure, text, lines, "*: best of all runs" if starred else "", note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -126,8 +131,7 @@ def ecdf_figure(
     The share of each method at the end of its evaluations is printed at the right. The axis of
     `over_time` is the axis of the clock, whose note says which runs are excluded.
     """
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
+    with new_figure(4.3) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         plot_shares(over_evaluations, "evaluations", left)
         left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
@@ -151,8 +155,7 @@ def profiles_figure(
     + 1); tau is the ratio to the best method of each problem. The shares at the right end are
     printed.
     """
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
+    with new_figure(4.3) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         plot_shares(data_profile, "kappa", left)
         plot_shares(performance_profile, "tau", right)
@@ -190,10 +193,15 @@ def label_shares(frame: pd.DataFrame, x: str, ax: Axes) -> None:
     last, mean = shares.last(), shares.mean()
     styles = with_emphasis(frame["optimizer"])
     labels = [
-        EndLabel(last[name], f"{100 * last[name]:3.0f} %  {styles[name].name}", styles[name])
+        EndLabel(last[name], f"{_percent(last[name])}  {styles[name].name}", styles[name])
         for name in sorted(styles, key=lambda method: (last[method], mean[method]))
     ]
     draw_end_labels(ax, labels)
+
+
+def _percent(share: float) -> str:
+    """A share in percent, padded to three digits by spaces as wide as a digit."""
+    return f"{100 * share:\u2007>3.0f} %"
 
 
 def _errors(
@@ -265,9 +273,8 @@ def ert_table(
     """
     rows = at_factor(ert, factor)
     methods = rows["optimizer"].nunique()
-    with house_style():
-        height = ROW * methods + LETTER * rows["problem"].str.len().max() + 1.2
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    height = ROW * methods + LETTER * rows["problem"].str.len().max() + 1.2
+    with new_figure(height) as figure:
         ax = figure.subplots()
         mesh = plot_ert(rows, ax, order=order)
         bar = figure.colorbar(mesh, ax=ax, orientation="horizontal", aspect=50, pad=0.02)
@@ -275,7 +282,6 @@ def ert_table(
         bar.set_ticks([0, 1, 2, 3], labels=["1", "10", "100", "1000 or more"])
         text = "small: share of successful runs, if not all; -: never"
         caption(figure, text, note)
-        figure.draw_without_rendering()
     return figure
 
 

@@ -11,11 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from miho.analysis.figures.house import caption
+from miho.analysis.figures.house import caption, new_figure
 from miho.analysis.styles import MethodStyle, styles_of
 from miho.analysis.text import number
 from miho.analysis.tidy import require_columns
-from miho.figures.style import WIDTH, house_style
 from miho.quantities import Array
 
 ROW = 0.19  # inches per method where a row is one line of 8 pt text
@@ -29,13 +28,11 @@ def area_figure(areas: pd.DataFrame, *, note: str = "") -> Figure:
     means of the problems, the box shows their quartiles and median, the diamond their mean; all
     problems have the same weight.
     """
-    with house_style():
-        height = ROW * areas["optimizer"].nunique() + 0.9
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    height = ROW * areas["optimizer"].nunique() + 0.9
+    with new_figure(height) as figure:
         plot_areas(areas, figure.subplots())
         text = "points: problems (mean over runs), boxes: quartiles, diamonds and numbers: means"
         caption(figure, text, note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -76,8 +73,7 @@ def critical_difference_diagram(
     test finds no difference; methods without a common bar differ. `sample` describes the sample of
     the mean ranks, for example "12 problems".
     """
-    with house_style():
-        figure = Figure(figsize=(WIDTH, ROW * len(ranks) + 1.1), layout="constrained")
+    with new_figure(ROW * len(ranks) + 1.1) as figure:
         wide = min(0.4, 0.05 + 0.025 * len(cliques))
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1 - wide, wide])
         plot_ranks(ranks, cd, left)
@@ -85,7 +81,6 @@ def critical_difference_diagram(
         over = f" over {sample}" if sample else ""
         left.set_xlabel(f"mean rank{over} (1: best)")
         caption(figure, "bars at the right join methods that the test does not separate", note)
-        figure.draw_without_rendering()
     return figure
 
 
@@ -143,12 +138,10 @@ def speed_up_figure(speed_ups: pd.DataFrame, *, method: str, note: str = "") -> 
     low, high, problems (that both solve), only_method and only_rival. Above 1 `method` is faster;
     grey and hollow marks mean that the interval contains 1.
     """
-    with house_style():
-        rivals = int((speed_ups["method"] == method).sum())
-        figure = Figure(figsize=(WIDTH, ROW * rivals + 1.1), layout="constrained")
+    rivals = int((speed_ups["method"] == method).sum())
+    with new_figure(ROW * rivals + 1.1) as figure:
         plot_speed_up(speed_ups, figure.subplots(), method=method)
         caption(figure, "hollow and grey: undecided, the 95 % interval contains 1", note)
-        figure.draw_without_rendering()
     return figure
 
 

@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from miho.analysis.curves import log_grid
-from miho.analysis.figures.house import caption
+from miho.analysis.figures.house import caption, new_figure
 from miho.analysis.figures.paper import plain_log_ticks, plot_error_over
 from miho.analysis.styles import styles_of
-from miho.figures.style import WIDTH, house_style
 
 COLUMNS = 3
 TITLE_WIDTH = 34
@@ -38,8 +37,7 @@ def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> 
     rows = -(-len(readings) // COLUMNS)
     curves = pd.concat(readings.values(), ignore_index=True)
     grid = log_grid(curves, "evaluations", 250)
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 0.6 + 1.75 * rows), layout="constrained")
+    with new_figure(0.6 + 1.75 * rows) as figure:
         panels = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False)
         axes = list(panels.flat)
         for ax, (words, of_reading) in zip(axes, readings.items(), strict=False):
@@ -59,5 +57,4 @@ def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> 
         handles = [Line2D([], [], label=style.name, **style.line) for style in styles.values()]
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
         caption(figure, "lines: mean over repetitions, bands: 10 to 90 %", note)
-        figure.draw_without_rendering()
     return figure

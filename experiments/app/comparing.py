@@ -35,7 +35,8 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
     for name, reason in arena.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
     problems = len({request.identity.problem for request in arena.plan})
-    size = [f"{problems} problems", f"{cfg.sweep.workers} runs at a time"]
+    workers = cfg.sweep.workers
+    size = [f"{problems} problems", f"{workers} run{'s' * (workers != 1)} at a time"]
     if arena.left_out:
         size.append(f"without {', '.join(arena.left_out)}, which were not available")
     note = note_on_size(cfg, size, cfg.comparison.repetitions)

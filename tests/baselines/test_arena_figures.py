@@ -100,7 +100,7 @@ def test_the_distributions_end_at_the_share_of_targets_reached() -> None:
     figure = ecdf_figure(ecdf(first_hits, "evaluations"), ecdf(first_hits, "seconds"), WALL)
     written = texts(figure)
     for method, reached in first_hits.groupby("optimizer")["reached"].mean().items():
-        assert f"{100 * reached:3.0f} %  {STYLES[str(method)].name}" in written
+        assert f"{100 * reached:\u2007>3.0f} %  {STYLES[str(method)].name}" in written
 
 
 def test_the_distribution_over_time_says_whose_seconds_it_shows() -> None:
