@@ -10,7 +10,7 @@ import optuna
 
 from miho.compiled import Block, Climb, Steps
 from miho.optim import Optimizer, Oracle, Space
-from miho.optim.mutation import annealed_sigma, climb_of, mutate
+from miho.optim.mutation import annealed_sigma, climb_of, compiled_steps, mutate
 from miho.quantities import Array
 from miho.validate import whole
 
@@ -119,10 +119,10 @@ def _climbed_at_once(
         nonlocal k
         count = min(len(sigma) - k, int(most))
         mutant = mutate(P, sigma[k], space, rng, "box")
-        noise = rng.standard_normal((count - 1, *P.shape))
-        steps = Steps(mutant, P, losses, noise, sigma[k + 1 : k + count], space.bounds)
+        steps = Steps(mutant, P, losses, np.empty(0), sigma[k + 1 : k + count], space.bounds)
         k += count
-        return climb(steps, best, target)._replace(finished=k == len(sigma))
+        block = compiled_steps(climb, steps, rng, best, target)
+        return block._replace(finished=k == len(sigma))
 
     if len(sigma):
         oracle.spend(block, 1)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from miho.compiled import Block, Climb
+from miho.compiled import Block, Climb, Steps
 from miho.optim.mutation import (
     ANNEALINGS,
     CLIPS,
@@ -25,6 +25,7 @@ from miho.quantities import Array
 from miho.validate import one_of, whole
 
 PROPOSALS = ("mutation", "fresh")
+NO_NOISE = np.empty(0)
 
 
 @dataclass
@@ -132,7 +133,7 @@ class MIHO(Resumable[MIHOState]):
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOState:
         """State before the first bracket, whose configurations are the common initial ones."""
         space, table = oracle.space, self.table()
-        P = self.initial(space, table[0].n)
+        P = self._clipped(space.initial(table[0].n, self.sampling), space)
         return MIHOState(
             space=space,
             rng=rng,
@@ -141,7 +142,7 @@ class MIHO(Resumable[MIHOState]):
             P=P,
             L=np.full(len(P), np.inf),
             step=-1,
-            sigma=self.sigma(space, table[0].mutations),
+            sigma=annealed_sigma(space, table[0].mutations, self.annealing),
             batch=P,
         )
 
@@ -177,15 +178,12 @@ class MIHO(Resumable[MIHOState]):
         whole = evaluations >= n and state.row == 0
         count = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
         rows = slice(state.row, min(state.row + evaluations, n))
-        block = compiled_steps(
-            climb,
-            (state.batch[rows], state.P[rows], state.L[rows]),
-            state.sigma[state.step + 1 : state.step + count],
-            limits(state.space, self.clip),
-            state.rng,
-            (best, target),
-            early_stopping=self.early_stopping,
-        )
+        steps = Steps(
+            state.batch[rows], state.P[rows], state.L[rows], NO_NOISE,
+            state.sigma[state.step + 1 : state.step + count], limits(state.space, self.clip),
+            self.early_stopping,
+        )  # fmt: skip
+        block = compiled_steps(climb, steps, state.rng, best, target)
         state.row = rows.stop % n
         if state.row == 0:
             self._count(state, round(block.evaluations) // (rows.stop - rows.start))
@@ -218,20 +216,12 @@ class MIHO(Resumable[MIHOState]):
             top = np.argsort(state.L, kind="stable")[: state.rung.n]
             state.P, state.L = state.P[top], state.L[top]
             state.step = 0
-        state.sigma = self.sigma(state.space, state.rung.mutations)
+        state.sigma = annealed_sigma(state.space, state.rung.mutations, self.annealing)
         return True
-
-    def initial(self, space: Space, n: int) -> Array:
-        """First common initial configurations (n, d), in search coordinates."""
-        return self._clipped(space.initial(n, self.sampling), space)
 
     def fresh(self, space: Space, n: int, rng: np.random.Generator) -> Array:
         """Draw configurations (n, d), in search coordinates."""
         return self._clipped(space.sample(n, rng, self.sampling), space)
-
-    def sigma(self, space: Space, mutations: int) -> Array:
-        """Sigma of each mutation on a rung, (mutations, d)."""
-        return annealed_sigma(space, mutations, self.annealing)
 
     def proposals(self, P: Array, sigma: Array, space: Space, rng: np.random.Generator) -> Array:
         """Next competitors of configurations P (n, d), in search coordinates."""

@@ -63,46 +63,18 @@ def climb_of(oracle: Oracle) -> Climb | None:
 
 
 def compiled_steps(
-    climb: Climb,
-    rows: tuple[Array, Array, Array],
-    sigma: Array,
-    bounds: tuple[Array, Array],
-    rng: np.random.Generator,
-    ends: tuple[float, float],
-    *,
-    early_stopping: bool = True,
+    climb: Climb, steps: Steps, rng: np.random.Generator, best: float, target: float
 ) -> Block:
     """Make mutation steps with the noise that `mutate` would draw from `rng`, step by step.
 
-    Parameters
-    ----------
-    climb : Climb
-        Compiled steps of the problem.
-    rows : tuple of ndarray
-        Mutants of the first step (n, d), their parents (n, d) and the losses of the parents (n,);
-        changed in place.
-    sigma : ndarray of shape (steps - 1, d)
-        Standard deviations of each step after the first (Eq. 2).
-    bounds : tuple of ndarray
-        Lower and upper limits (d,) of mutants.
-    rng : numpy.random.Generator
-        Left in the state that separate draws of each step would leave.
-    ends : tuple of float
-        Best loss so far, and the target loss that ends the steps.
-    early_stopping : bool
-        Whether to stop the loss of a mutant that cannot be better than its parent (`Steps`).
-
-    Returns
-    -------
-    Block
-        The evaluations and the improvements.
+    `steps` comes without noise; its mutants, parents and losses change in place. `rng` is left in
+    the state that separate draws of each step would leave. The steps end at the `target` loss.
     """
-    mutants, P, L = rows
-    generator, shape = rng.bit_generator.state, (len(sigma), *P.shape)
-    noise = rng.standard_normal(shape)
-    block = climb(Steps(mutants, P, L, noise, sigma, bounds, early_stopping), *ends)
-    more = round(block.evaluations) // len(P) - 1
-    if more < len(sigma):  # the target was reached: draw only the noise of these steps again
+    n, generator = len(steps.P), rng.bit_generator.state
+    noise = rng.standard_normal((len(steps.sigma), *steps.P.shape))
+    block = climb(steps._replace(noise=noise), best, target)
+    more = round(block.evaluations) // n - 1
+    if more < len(noise):  # the target was reached: draw only the noise of these steps again
         rng.bit_generator.state = generator
-        rng.standard_normal((more, *shape[1:]))
+        rng.standard_normal((more, *steps.P.shape))
     return block

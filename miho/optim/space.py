@@ -95,12 +95,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         label = f"parameter {self.name!r}"
-        if (
-            self.fixed is None
-            and self.tied is None
-            and math.isfinite(self.low)
-            and self.low == self.high
-        ):
+        if self.free and math.isfinite(self.low) and self.low == self.high:
             object.__setattr__(self, "fixed", self.low)
         one_of(f"{label}: scale", self.scale, SCALES)
         if self.prior is not None:
