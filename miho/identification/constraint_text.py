@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from miho.models.formula_text import formula_from, written
+from miho.models.formula_parser import formula_from
+from miho.models.formula_text import written
 from miho.models.symbolic import Symbol, argument, constant, gradient
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array

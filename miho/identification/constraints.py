@@ -25,7 +25,7 @@ from miho.identification.constraint_text import (
     share_of_range,
     stated_in,
 )
-from miho.models.formula_text import LONGEST
+from miho.models.formula_parser import LONGEST
 from miho.models.tied import Ties
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array

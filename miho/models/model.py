@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, final
@@ -25,6 +25,8 @@ Predict = Callable[..., Array]
 """Outputs (n, N) of parameter rows (n, d) and input columns."""
 VISIBLE = 1e-9
 """A change of the output by less than this fraction of it is mostly rounding."""
+INHERITED = "inputs", "parameters", "output", "linear", "name", "source", "nominal"
+"""Attributes that a model made of another one takes from it."""
 
 
 class Model(ABC):
@@ -181,48 +183,16 @@ class Model(ABC):
 
 
 class Wrapper(Model):
-    """Base class of a model made of another one, `model`, whose attributes it has.
+    """Base class of a model made of another one, `model`, whose attributes in INHERITED it has.
 
-    A subclass declares the attributes that differ. Whether the rows need their order, the cost of
-    derivatives, defaults and derived quantities are not inherited.
+    A subclass declares the attributes that differ.
     """
 
     model: Model
-
-    @cached_property
-    def inputs(self) -> Mapping[str, str]:
-        """Units of the input columns."""
-        return self.model.inputs
-
-    @property
-    def parameters(self) -> Mapping[str, str]:
-        """Units of the parameters."""
-        return self.model.parameters
-
-    @property
-    def output(self) -> str:
-        """Unit of the output."""
-        return self.model.output
-
-    @cached_property
-    def linear(self) -> tuple[str, ...]:
-        """Parameters in which the output is jointly linear."""
-        return self.model.linear
-
-    @property
-    def name(self) -> str:
-        """Name of the model."""
-        return self.model.name
-
-    @property
-    def source(self) -> Path | None:
-        """File of the model."""
-        return self.model.source
-
-    @property
-    def nominal(self) -> Mapping[str, tuple[str, float]]:
-        """Reference points of the model."""
-        return self.model.nominal
+    if not TYPE_CHECKING:
+        inputs, parameters, output, linear, name, source, nominal = (
+            property(attrgetter(f"model.{attribute}")) for attribute in INHERITED
+        )
 
 
 class DifferencedModel(Model):

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from miho.models.expression import Expression
-from miho.models.formula_text import formula_from, written
+from miho.models.formula_parser import formula_from
+from miho.models.formula_text import written
 from miho.models.model import Model, Wrapper
 from miho.models.symbolic import (
     NotAFormulaError,

@@ -155,26 +155,18 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             if oracle.traits.cost(level_rows[0] / N) >= 1:  # fewer rows cost the same
                 level_rows = level_rows[-1:]
         oracle.meter.starts.brackets = True
+        kernel = oracle.traits.kernel
+        settings = self.block_settings(
+            float(oracle.traits.rounding), oracle.traits.jacobian_cost,
+            compiled=kernel is not None and kernel.rows is not None, solved=not box.nonlinear.size,
+        )  # fmt: skip
         nobody, nowhere = GNCandidates.at(np.empty((0, len(space))), 0, 0, 0, False), np.empty(0)
         sums = np.empty((0, len(level_rows)))
-        place = np.full(5, CLOSED)
+        minima = Minima(nobody.x.copy(), nowhere, sums, np.empty(0, bool))
         return MIHOGNState(
-            space,
-            box,
-            rng,
-            np.array(level_rows),
-            self.block_settings(
-                float(oracle.traits.rounding),
-                oracle.traits.jacobian_cost,
-                _has_rows(oracle),
-                solved=not box.nonlinear.size,
-            ),
-            nobody,
-            Minima(nobody.x.copy(), nowhere, sums, np.empty(0, bool)),
-            place,
-            order=np.empty(0, np.int64),
-            stored=nowhere,
-        )
+            space, box, rng, np.array(level_rows), settings, nobody, minima,
+            place=np.full(5, CLOSED), order=np.empty(0, np.int64), stored=nowhere,
+        )  # fmt: skip
 
     def _levels(self, N: int, box: GNBox) -> tuple[int, ...]:
         d = box.low.size
@@ -206,13 +198,15 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """Record the end of a bracket; then close it, or continue with other phases."""
         phase = state.phase
         if phase == RETURNED:
-            self._after_return(state, oracle)
+            self._record_return(state, oracle)
+            self._close(state, oracle)
         elif phase == EMPTY:
             self._close(state, oracle)
         elif phase == FINISH:
             self._after_finish(state, oracle)
         elif phase == REVIVE:
-            self._after_revival(state, oracle)
+            self._record_end(state, oracle)
+            self._close(state, oracle)
         else:
             state.finished = True  # after the final descent or a linear solution
 
@@ -274,11 +268,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             look_again(state.candidates, state.place, state.level_rows, state.settings)
             begin(state.candidates, state.place, REVIVE, 1)
 
-    def _after_revival(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Record the end of a revived candidate, as the end of a bracket."""
-        self._record_end(state, oracle)
-        self._close(state, oracle)
-
     def _record_end(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the end of a bracket's last candidate: known, new, stalled or unusable."""
         c = state.candidates
@@ -296,11 +285,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE and (better or not state.challenging):
             state.stalled.append(c.first())  # one from a challenge is no evidence if it returns
-
-    def _after_return(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Record the end of a bracket without a new optimum."""
-        self._record_return(state, oracle)
-        self._close(state, oracle)
 
     def _record_return(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the end of a bracket whose best candidate leads to nothing new.
@@ -364,8 +348,3 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.admit(GNCandidates.at(x, levels, ENTERING, self.scale_decay, False), levels - 1)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
         begin(state.candidates, state.place, POLISH, 1)
-
-
-def _has_rows(oracle: Oracle) -> bool:
-    """Whether residuals and derivatives are compiled."""
-    return oracle.traits.kernel is not None and oracle.traits.kernel.rows is not None
