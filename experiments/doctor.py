@@ -3,7 +3,6 @@
 python -m experiments.doctor                          # machine and packages
 python -m experiments.doctor runs/identify            # also the runs in this folder
 python -m experiments.doctor runs/identify --quarantine
-python -m experiments.doctor --timing                 # also the A/A test, about five seconds
 
 Exit codes: 0 no check failed, 2 no such folder, 3 a check failed.
 """
@@ -36,16 +35,16 @@ def diagnose(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="move damaged runs to ROOT/.quarantine; nothing is deleted",
     )
-    parser.add_argument(
-        "--timing", action="store_true", help="also compare a method with itself (A/A test)"
-    )
+    parser.add_argument("--timing", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     root = options.root
+    if options.timing:
+        parser.error("--timing is now a row of faults; run python -m experiments.faults R12")
     if options.quarantine and root is None:
         parser.error("--quarantine needs the ROOT of the runs")
     if root is not None and not root.is_dir():
         raise FileNotFoundError(f"{root}: no such folder of runs; check the name")
-    groups = [machine_checks(root or Path(), timing=options.timing), package_checks()]
+    groups = [machine_checks(root or Path()), package_checks()]
     if root is not None:
         groups.append(result_checks(root, quarantine=options.quarantine))
     checks: list[Check] = []

@@ -5,12 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from filelock import FileLock
 
 from experiments.diagnosis import machine
-from experiments.diagnosis.machine import Check, Pairs, Severity, same_method_twice
+from experiments.diagnosis.machine import Check, Severity
 from experiments.diagnosis.packages import package_checks
 from experiments.diagnosis.results import move_aside, result_checks
 from experiments.doctor import diagnose
@@ -174,40 +173,8 @@ def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_machine_in_short(tmp_path: Path) -> None:
-    names = [check.name for check in machine.machine_checks(tmp_path, timing=False)]
-    assert names == ["cores", "threads", "load", "clock", "disk", "speed", "A/A test"]
-
-
-def pairs(ratio: float, valid: bool) -> Pairs:
-    seconds = np.tile([ratio, 1.0], (4, 1))
-    return Pairs(seconds, seconds, np.full((4, 2), valid))
-
-
-@pytest.mark.parametrize(
-    ("ratio", "valid", "severity"),
-    [
-        (1.01, True, Severity.OK),
-        (1.07, True, Severity.FAILED),
-        (0.93, True, Severity.FAILED),
-        (2.0, False, Severity.WARNING),
-    ],
-)
-def test_a_difference_from_itself_is_told(
-    monkeypatch: pytest.MonkeyPatch, ratio: float, valid: bool, severity: Severity
-) -> None:
-    monkeypatch.setattr(machine, "same_method_twice", lambda _: pairs(ratio, valid))
-    assert machine.same_method().severity is severity
-
-
-@pytest.mark.parametrize("interleaved", [True, False])
-def test_both_names_run_as_often_and_the_middle_is_the_middle(interleaved: bool) -> None:
-    calls: list[int] = []
-    pairs = same_method_twice(
-        100, pairs=3, interleaved=interleaved, halfway=lambda: calls.append(1)
-    )
-    assert calls == [1]
-    assert pairs.wall.shape == pairs.cpu.shape == pairs.valid.shape == (3, 2)
-    assert (pairs.cpu > 0).all()
+    names = [check.name for check in machine.machine_checks(tmp_path)]
+    assert names == ["cores", "threads", "load", "clock", "disk", "speed"]
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -227,3 +194,9 @@ def test_bad_input() -> None:
     with pytest.raises(SystemExit) as ended:
         diagnose(["--quarantine"])
     assert ended.value.code == 2
+
+
+def test_the_former_option_names_its_successor(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        diagnose(["--timing"])
+    assert "run python -m experiments.faults R12" in capsys.readouterr().err

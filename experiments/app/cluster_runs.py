@@ -11,12 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 
 from experiments.app.explain import ConfigError
 from experiments.app.plan import MODULES, Request, experiment_of
 from experiments.app.schema import SweepConfig
-from experiments.app.working import State, execute, own_code, prepare, with_result
+from experiments.app.working import State, execute, prepare, with_result
 from miho.parallel.cluster import check_address, cluster, dashboard
 from miho.parallel.cluster_process import Placed
 from miho.parallel.cluster_workers import ClusterWorkers
@@ -49,7 +50,7 @@ def cluster_runs(
         here = str(Path.cwd())
         workers: ClusterWorkers[Request, Delivery] = ClusterWorkers(
             client, partial(deliver, here, shared), settings.time_limit, MODULES,
-            prepare=partial(prepare_there, here), alone=_alone,
+            prepare=partial(prepare_there, here), alone=attrgetter("job.own_code"),
         )  # fmt: skip
         with workers, ClusterRuns(workers, shared=shared) as runs:
             yield runs
@@ -163,10 +164,6 @@ def prepare_there(folder: str, placed: Placed[Request]) -> None:
     """In a process of a worker: load objects that runs of a user's model share."""
     _go_to(folder)
     prepare(placed.job)
-
-
-def _alone(placed: Placed[Request]) -> bool:
-    return own_code(placed.job)
 
 
 def _go_to(folder: str) -> None:

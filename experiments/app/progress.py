@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from tqdm import tqdm
 
@@ -21,11 +20,8 @@ COLUMNS, ROWS = 80, 24
 """Size of a terminal that does not report one."""
 
 
-class Observer(Protocol):
-    """A function that is called with the oracle about ten times a second."""
-
-    def __call__(self, oracle: Oracle) -> None:
-        """Show the progress of the run."""
+Observer = Callable[[Oracle], None]
+"""A function that is called about ten times a second to show the progress of a run."""
 
 
 def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -29,7 +30,6 @@ from experiments.app.working import (
     ended_state,
     execute,
     executed_state,
-    own_code,
     prepare,
     with_result,
 )
@@ -200,8 +200,11 @@ def _workers(
 ) -> AbstractContextManager[Workers[Request, State] | ClusterRuns]:
     """Worker processes on this machine, or the workers of a cluster."""
     if isinstance(at_once, str):
-        return cluster_runs(at_once, settings, own_code=any(map(own_code, plan)))
-    return Workers(execute, at_once, settings.time_limit, MODULES, prepare=prepare, alone=own_code)
+        return cluster_runs(at_once, settings, own_code=any(request.own_code for request in plan))
+    return Workers(
+        execute, at_once, settings.time_limit, MODULES, prepare=prepare,
+        alone=attrgetter("own_code"),
+    )  # fmt: skip
 
 
 def _run_in_workers(

@@ -68,11 +68,6 @@ def ended_state(ended: JobOutcome[Request, State]) -> State:
     return State(request, status, f"{name_of(identity)}: {ending}", reason=reason)
 
 
-def own_code(request: Request) -> bool:
-    """Whether a run needs a separate process, because its model is the user's code."""
-    return request.own_code
-
-
 def prepare(request: Request) -> None:
     """In a worker: load objects that runs of a user's model share, before each run is forked."""
     if not request.own_code:

@@ -9,24 +9,25 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import threadpoolctl
+from numpy.typing import NDArray
 
-from experiments.diagnosis.machine import (
-    CPU_RATIO,
-    Pairs,
-    busy_cores,
-    evaluations_in,
-    same_method_twice,
-)
+from experiments.diagnosis.machine import busy_cores
+from miho.optim import Budget, Parameter, Problem, RandomSearch, RunRecord, Space, minimize
+from miho.quantities import Array
 from miho.study import single_thread
+from miho.study.contention import stamped
 from tests.faults.conftest import Figures, skip_if_busy
 
+PAIRS, SECONDS = 40, 0.02
+CPU_RATIO, WALL_RATIO = (0.95, 1.05), (0.90, 1.10)
 SIZE, PRODUCTS, ONE_CORE = 400, 20, 1.1
 SLOT_PAIRS = 10
 ASLEEP = 0.5
@@ -152,3 +153,106 @@ def slots(evaluations: int) -> tuple[float, float]:
 def slot(evaluations: int) -> float:
     """The median CPU seconds of some runs in this process."""
     return float(np.median(same_method_twice(evaluations, SLOT_PAIRS).cpu))
+
+
+class Waves(Problem):
+    """Mean square of sines at 200 points over (n, 3) amplitudes; a row takes some microseconds."""
+
+    name = "waves"
+    space = Space(tuple(Parameter(name, "-", -1.0, 1.0) for name in "abc"))
+
+    def __init__(self) -> None:
+        self._basis = np.sin(np.outer([1.0, 2.0, 3.0], np.linspace(0.0, 6.0, 200)))
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Losses (n,)."""
+        values = np.sin(thetas[:, :1] * self._basis[0]) + thetas[:, 1:2] * self._basis[1]
+        return np.asarray(((values + thetas[:, 2:] * self._basis[2]) ** 2).mean(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Seconds (n, 2) of wall and CPU time under two names, and whether each run was valid."""
+
+    wall: Array
+    cpu: Array
+    valid: NDArray[np.bool_]
+
+    @property
+    def cpu_ratio(self) -> float:
+        """Ratio of the total CPU times of the first and the second name."""
+        return _ratio(self.cpu)
+
+    @property
+    def wall_ratio(self) -> float:
+        """Ratio of the total wall times of the first and the second name."""
+        return _ratio(self.wall)
+
+    def outside(self) -> list[str]:
+        """Texts on the ratios outside their intervals."""
+        ratios = ("CPU", self.cpu_ratio, CPU_RATIO), ("wall", self.wall_ratio, WALL_RATIO)
+        return [
+            f"{name} ratio {ratio:.3f} outside {low:g} to {high:g}"
+            for name, ratio, (low, high) in ratios
+            if not low <= ratio <= high
+        ]
+
+
+def same_method_twice(
+    evaluations: int,
+    pairs: int = PAIRS,
+    *,
+    interleaved: bool = True,
+    halfway: Callable[[], None] | None = None,
+) -> Pairs:
+    """Random search under two names, `pairs` times each, in the order ABBA or all A before all B.
+
+    `halfway` is called between the first half of all runs and the second half.
+    """
+    order = [(pair, name) for pair in range(pairs) for name in ((0, 1), (1, 0))[pair % 2]]
+    if not interleaved:
+        order.sort(key=lambda run: run[1])
+    wall, cpu = np.empty((pairs, 2)), np.empty((pairs, 2))
+    valid = np.zeros((pairs, 2), bool)
+    for number, (pair, name) in enumerate(order):
+        if number == pairs and halfway is not None:
+            halfway()
+        with single_thread(), stamped() as stamp:
+            record = _search(pair, Budget(evaluations=evaluations))
+        wall[pair, name], cpu[pair, name] = record.seconds, record.cpu_seconds
+        valid[pair, name] = stamp.judge(record.seconds, record.cpu_seconds).valid
+    return Pairs(wall, cpu, valid)
+
+
+def evaluations_in(seconds: float = SECONDS) -> int:
+    """Number of evaluations that take this CPU time here."""
+    with single_thread():
+        record = _search(0, Budget(evaluations=5000))
+        record = _search(0, Budget(evaluations=5000))
+    return max(1, int(5000 * seconds / record.cpu_seconds))
+
+
+def _search(seed: int, budget: Budget) -> RunRecord:
+    return minimize(RandomSearch(batch=100), Waves(), budget, seed)
+
+
+def _ratio(seconds: Array) -> float:
+    first, second = seconds.sum(axis=0)
+    return float(first / second)
+
+
+@pytest.mark.parametrize("interleaved", [True, False])
+def test_both_names_run_as_often_and_the_middle_is_the_middle(interleaved: bool) -> None:
+    calls: list[int] = []
+    pairs = same_method_twice(
+        100, pairs=3, interleaved=interleaved, halfway=lambda: calls.append(1)
+    )
+    assert calls == [1]
+    assert pairs.wall.shape == pairs.cpu.shape == pairs.valid.shape == (3, 2)
+    assert (pairs.cpu > 0).all()
+
+
+@pytest.mark.parametrize(("ratio", "wrong"), [(1.01, 0), (1.07, 1), (0.93, 1), (2.0, 2)])
+def test_a_difference_from_itself_is_seen(ratio: float, wrong: int) -> None:
+    seconds = np.tile([ratio, 1.0], (4, 1))
+    assert len(Pairs(seconds, seconds, np.full((4, 2), True)).outside()) == wrong

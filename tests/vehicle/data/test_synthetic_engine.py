@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.app.compose import composed
-from experiments.app.schema import register
-from experiments.driving.car import identified_parts
+from experiments.driving.car import identified_engine
 from miho.vehicle.data import dyno_test, engine_driving_log, load_engine_drive
 from miho.vehicle.data.synthetic_engine import CAR, DYNO_TRUSTED, HELD_THROTTLES, STEP, true_torque
-from miho.vehicle.driving.assembly.engine import DATASETS, engine_of, truth_error
+from miho.vehicle.driving.assembly.engine import truth_error
 from miho.vehicle.models import TorqueCubic
 from miho.vehicle.models.engine import RPM
 
@@ -119,12 +117,7 @@ def test_the_map_of_the_embedded_data_is_near_the_engine(tmp_path: Path) -> None
 
     Where curves were learned, 16 Nm of the dyno become less than 2; inverse and order hold.
     """
-    register()
-    cfg = composed(["optimizer=least_squares", f"root={tmp_path}"])
-    parts = identified_parts(cfg, tuple(DATASETS.values()))
-    engine = engine_of(
-        *({opening: parts[name][k] for opening, name in DATASETS.items()} for k in (0, 1)), cfg.seed
-    )
+    engine = identified_engine(tmp_path)
     omega, throttle = np.linspace(1300, 6500, 261) * RPM, np.linspace(0.05, 0.2, 101)[:, None]
     true = true_torque(omega, throttle)
     dyno, learned = (
