@@ -1,7 +1,7 @@
 """How often `miho_gn` claims an optimum that is not the best, on families of curves drawn by seed.
 
 python -m experiments.check.false_ends --instances 50 --processes 2
-python -m experiments.check.false_ends --instances 50 --families 'sine*' --set challenges=0
+python -m experiments.check.false_ends --instances 50 --families 'sine*' --set challenges=1
 
 Each instance of a family has different true parameters, rows and noise. A run claims an optimum if
 it ends by evidence. It is right if its loss is at most 0.2 % above the best known loss, from a
@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from experiments.benchmarks.bars import machine
@@ -95,7 +96,6 @@ def table(runs: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
 def main() -> None:
     """Draw problems, run the method, print the table."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.check.false_ends",
         description=(__doc__ or "").partition("\n\n")[0],
     )
     parser.add_argument("--families", default="*", help="names of families, with wildcards")
@@ -112,7 +112,7 @@ def main() -> None:
         parser.error(f"--families {arguments.families}: none matches; families are "
                      + ", ".join(FAMILIES))  # fmt: skip
     try:
-        settings = dict(_setting(text) for text in arguments.set)
+        settings = dict[str, Any](OmegaConf.from_dotlist(arguments.set))
         MIHOGN(**settings)
     except (TypeError, ValueError) as error:
         parser.error(f"--set: {error}")
@@ -130,17 +130,6 @@ def main() -> None:
         print(table(runs, keys).to_string(), "\n")
     claims, wrong = int(runs["claims"].sum()), int(runs["wrong"].sum())
     print(f"{len(runs):,} runs, {claims:,} claims, {wrong:,} wrong ({wrong / max(claims, 1):.2%})")
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    """Name and value of a setting; the value is a number or a word."""
-    name, _, value = text.partition("=")
-    for kind in (int, float):
-        try:
-            return name, kind(value)
-        except ValueError:
-            continue
-    return name, value
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ knows little about the parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,26 +58,31 @@ class Family:
             The loss at the end of a descent from the true parameters.
         """
         columns, true, noise = self.draw(rng)
-        names = self.formula.__code__.co_varnames[: len(columns) + len(true)]
-        inputs, parameters = names[: len(columns)], names[len(columns) :]
         noise *= _log(rng, *LOUDER)
-        y = self.formula(*columns, *true) + noise * rng.normal(size=columns[0].size)
-        dataset = Dataset(
-            "drawn", {**dict(zip(inputs, columns, strict=True)), "y": y},
-            dict.fromkeys((*inputs, "y"), ""), "y",
-        )  # fmt: skip
-        space = Space(
-            tuple(
-                Parameter(name, "", low, high)
-                for name, (low, high) in zip(parameters, self.box, strict=True)
-            )
-        )
-        fit = CurveFit(FunctionModel(self.formula, columns=inputs), dataset, space, compiled=True)
-        start = np.clip(np.array(true, dtype=float), space.low, space.high)
-        descent = least_squares(
-            fit.residuals, start, bounds=(space.low, space.high), x_scale=space.high - space.low
-        )
-        return fit, 2 * float(descent.cost) / y.size
+        fit = drawn(self.formula, columns, true, noise, self.box, rng)
+        low, high = fit.space.low, fit.space.high
+        start = np.clip(np.array(true, dtype=float), low, high)
+        descent = least_squares(fit.residuals, start, bounds=(low, high), x_scale=high - low)
+        return fit, 2 * float(descent.cost) / columns[0].size
+
+
+def drawn(
+    formula: Callable[..., Array],
+    columns: Sequence[Array],
+    true: Sequence[float],
+    noise: float,
+    box: Sequence[tuple[float, float]],
+    rng: np.random.Generator,
+) -> CurveFit:
+    """Problem of a formula of columns and then parameters, with normal noise, in a box."""
+    names = formula.__code__.co_varnames[: len(columns) + len(true)]
+    inputs, parameters = names[: len(columns)], names[len(columns) :]
+    y = formula(*columns, *true) + noise * rng.normal(size=columns[0].size)
+    data = {**dict(zip(inputs, columns, strict=True)), "y": y}
+    dataset = Dataset("drawn", data, dict.fromkeys(data, ""), "y")
+    bounds = zip(parameters, box, strict=True)
+    space = Space(tuple(Parameter(name, "", low, high) for name, (low, high) in bounds))
+    return CurveFit(FunctionModel(formula, columns=inputs), dataset, space, compiled=True)
 
 
 U = np.random.Generator.uniform

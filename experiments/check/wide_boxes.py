@@ -18,8 +18,8 @@ from scipy.optimize import least_squares
 
 from experiments.benchmarks.bars import machine
 from experiments.check import arguments
-from miho import MIHOGN, Budget, CurveFit, Dataset, Parameter, Space, minimize
-from miho.models import FunctionModel
+from experiments.check.families import drawn
+from miho import MIHOGN, Budget, CurveFit, minimize
 from miho.quantities import Array
 from miho.study import single_thread
 
@@ -42,17 +42,13 @@ class Curve(NamedTuple):
 
     def fit(self, times: float) -> CurveFit:
         """Problem in a box of `times` the true values."""
-        rng = np.random.default_rng(5)
-        y = self.formula(self.x, *self.true) + self.noise * rng.normal(size=self.x.size)
         names = self.formula.__code__.co_varnames[1 : 1 + len(self.true)]
-        parameters = []
+        box = []
         for name, value in zip(names, self.true, strict=True):
             high, signed = times * abs(value), name in self.signed
-            highest = min(high, self.highest) if signed else high
-            parameters.append(Parameter(name, "", -high * signed, highest))
-        space = Space(tuple(parameters))
-        data = Dataset("drawn", {"x": self.x, "y": y}, {"x": "", "y": ""}, "y")
-        return CurveFit(FunctionModel(self.formula, columns=("x",)), data, space, compiled=True)
+            box.append((-high * signed, min(high, self.highest) if signed else high))
+        rng = np.random.default_rng(5)
+        return drawn(self.formula, [self.x], self.true, self.noise, box, rng)
 
     def best(self, fit: CurveFit) -> float:
         """Loss at the end of a descent from the true parameters."""
