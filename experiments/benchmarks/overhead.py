@@ -51,6 +51,16 @@ class Prepared(Problem):
         """The first n of the given losses."""
         return self.losses[: len(thetas)]
 
+    def shift(self, lower: int) -> None:
+        """Lower all losses."""
+        self.losses = self.losses - lower
+
+
+def shifted(oracle: Oracle, problem: Prepared, lower: int, thetas: Array) -> None:
+    """Record the losses after a shift."""
+    problem.shift(lower)
+    oracle(thetas)
+
 
 def recorder(repeats: int) -> Iterator[tuple[str, float]]:
     """Seconds per evaluation without the loss, in batches without and with improvements."""
@@ -60,15 +70,10 @@ def recorder(repeats: int) -> Iterator[tuple[str, float]]:
             problem = Prepared(-np.arange(1.0, batch + 1))
             oracle = Oracle(problem, Budget())
             oracle(thetas)
-
-            def shift(problem: Prepared = problem, lower: int = improving) -> None:
-                problem.losses = problem.losses - lower
-
-            def record(shift: Run = shift, oracle: Oracle = oracle, at: Array = thetas) -> None:
-                shift()
-                oracle(at)
-
-            jobs = {"shift": shift, "record": record}
+            jobs: dict[str, Callable[[], object]] = {
+                "shift": partial(problem.shift, improving),
+                "record": partial(shifted, oracle, problem, improving, thetas),
+            }
             seconds = interleaved(jobs, repeats, atom=0.001 if improving else 0.01)
             name = f"batch of {batch}, {'all' if improving else 'none'} improve"
             yield name, (seconds["record"] - seconds["shift"]) / batch
