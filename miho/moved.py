@@ -29,6 +29,7 @@ MOVED = {
         for name in names
     },
     "miho.driving": "miho.vehicle.driving",
+    "miho.vehicle.data.synthetic_play": "miho.vehicle.data.synthetic_brake",
     "miho.analysis.arena_results": "baselines.arena.results",
     "miho.analysis.compare.readings": "baselines.arena.readings",
     "miho.identification.statement": "miho.identification.conclusion",

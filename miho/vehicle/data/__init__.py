@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from miho.vehicle.data.seong import DataUnavailableError, load_seong_sample
     from miho.vehicle.data.synthetic_brake import (
         brake_deceleration_test,
+        brake_play_test,
         brake_pressure_test,
         brake_step_test,
         brake_torque_test,
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from miho.vehicle.data.synthetic_engine import dyno_test, engine_driving_log, load_engine_drive
     from miho.vehicle.data.synthetic_handling import simulated_axle_drive, simulated_weave
     from miho.vehicle.data.synthetic_outliers import tire_outlier_test
-    from miho.vehicle.data.synthetic_play import brake_play_test
     from miho.vehicle.data.synthetic_steering import steering_test
     from miho.vehicle.data.tir_sampling import (
         SamplingRanges,

@@ -1,4 +1,4 @@
-"""Synthetic brake tests: pressure, torque, steps and deceleration of a known brake.
+"""Synthetic brake tests: pressure, torque, steps, deceleration and play of a known brake.
 
 The brake resembles that of a Dallara AV-21: up to 6000 kPa, a bias between 0.54 and 0.60, and about
 2.0 N per kPa, as measured in driving (geometry alone would give 7 to 11). It replaces a brake test
@@ -14,6 +14,7 @@ from miho.quantities import Array
 from miho.validate import at_least, positive, whole
 from miho.vehicle.models.brake import Brake
 from miho.vehicle.models.brake_dynamics import BrakeResponse
+from miho.vehicle.models.brake_play import play
 
 EMBEDDED_BRAKE = Brake(
     u0=0.065, u1=0.93, P_max=6.0e6, n=1.35, bias=0.57,
@@ -30,6 +31,10 @@ DRAG = 0.5 * 1.2 * 0.79
 RESISTANCE = 1100.0
 """Rolling resistance and engine drag with closed throttle [N]."""
 AXLES = ("front", "rear")
+PLAY = 0.06
+"""Full width of the play in the pedal linkage [-], in units of the command."""
+TURNS = (0.0, 1.0, 0.0, 0.8, 0.35, 0.6, 0.5, 0.55, 0.2, 0.9, 0.7, 0.76, 0.1, 0.3, 0.0)
+"""Turning points of the command: a full loop, inner loops, and reversals within the play."""
 
 
 def brake_pressure_test(
@@ -104,8 +109,7 @@ def brake_torque_test(
     speeds = (20.0, 40.0, 60.0)
     p = np.tile(np.repeat(np.linspace(0.0, largest, steps + 1), samples), len(speeds))
     vx = np.repeat(speeds, p.size // len(speeds))
-    K = brake.K_front if axle == "front" else brake.K_rear
-    P0 = brake.P0_front if axle == "front" else brake.P0_rear
+    K, P0 = (getattr(brake, f"{name}_{axle}") for name in ("K", "P0"))
     T = K * np.maximum(p - P0, 0.0) + noise * rng.standard_normal(p.size)
     name = "brake_torque" if axle == "front" else "brake_torque_rear"
     units = {"p": "Pa", "vx": "m/s", "T": "Nm"}
@@ -194,6 +198,36 @@ def brake_deceleration_test(
     columns = {"p": p, "vx": vx, "deceleration": deceleration}
     units = {"p": "Pa", "vx": "m/s", "deceleration": "m/s^2"}
     return Dataset("brake_deceleration", columns, units, "deceleration")
+
+
+def brake_play_test(seed: int = 0, samples: int = 800, noise: float = 5.0e4) -> Dataset:
+    """Slow sweeps of the command between `TURNS` and the settled pressure of the front circuit.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the noise.
+    samples : int
+        Number of samples, at equal steps along the path of the command.
+    noise : float
+        Standard deviation of the normal noise of the pressure [Pa].
+
+    Returns
+    -------
+    Dataset
+        Columns u [-] and the output p [Pa], in the order of measurement.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+    """
+    whole("samples", samples, len(TURNS))
+    rng = _rng("play", seed, noise=noise)
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(TURNS)))])
+    u: Array = np.interp(np.linspace(0.0, travelled[-1], samples), travelled, TURNS)
+    p = EMBEDDED_BRAKE.pressure(play(u, PLAY))[0] + noise * rng.standard_normal(samples)
+    return Dataset("brake_play", {"u": u, "p": p}, {"u": "-", "p": "Pa"}, "p")
 
 
 def _slow_down(speed: float, pressure: float, since: Array) -> Array:

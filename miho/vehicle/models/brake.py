@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from miho.quantities import Array
 from miho.validate import positive, positive_settings, settings_at_least
-from miho.vehicle.models.brake_dynamics import BrakeResponse, play
+from miho.vehicle.models.brake_dynamics import BrakeResponse
+from miho.vehicle.models.brake_play import play
 from miho.vehicle.models.brake_statics import BrakePressure
 
 

@@ -1,4 +1,4 @@
-"""Dynamic brake: response of the pressure to the command, with delay, lag and play."""
+"""Dynamic brake: response of the pressure to the command, with delay and lag."""
 
 from __future__ import annotations
 
@@ -10,44 +10,6 @@ from numpy.typing import NDArray
 
 from miho.models.model import Model
 from miho.quantities import Array
-from miho.validate import at_least
-
-
-def play(values: Array, width: float) -> Array:
-    """Return the output of play (backlash), a hysteresis operator.
-
-    The output is constant while the input stays in a band around it. Outside the band, the output
-    follows width / 2 below a rising input and width / 2 above a falling input.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Input. The output starts at the first value.
-    width : float
-        Full width of the band, in the unit of the values, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Output.
-
-    Raises
-    ------
-    ValueError
-        If the width is negative.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> play(np.array([0.0, 1.0, 0.8, 0.0]), 0.5).tolist()
-    [0.0, 0.75, 0.75, 0.25]
-    """
-    at_least("width", width, 0)
-    half = width / 2
-    output = np.array(values, dtype=float)
-    for i in range(1, output.size):
-        output[i] = min(max(output[i - 1], output[i] - half), output[i] + half)
-    return output
 
 
 @dataclass(frozen=True)

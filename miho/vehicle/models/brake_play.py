@@ -1,4 +1,4 @@
-"""Steady brake with play: pressure over command with hysteresis."""
+"""Play (backlash), and a steady brake with play: pressure over command with hysteresis."""
 
 from __future__ import annotations
 
@@ -9,10 +9,44 @@ import numpy as np
 
 from miho.models.model import Model
 from miho.quantities import Array
+from miho.validate import at_least
 from miho.vehicle.models.brake_statics import BrakePressure
 
 CELLS = 16384
 """Rows times configurations of a batch, chosen to fit into a cache."""
+
+
+def play(values: Array, width: float) -> Array:
+    """Return the output of play (backlash), a hysteresis operator.
+
+    The output is constant while the input stays in a band around it. Outside the band, the output
+    follows width / 2 below a rising input and width / 2 above a falling input.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Input. The output starts at the first value.
+    width : float
+        Full width of the band, in the unit of the values, at least 0.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Output.
+
+    Raises
+    ------
+    ValueError
+        If the width is negative.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> play(np.array([0.0, 1.0, 0.8, 0.0]), 0.5).tolist()
+    [0.0, 0.75, 0.75, 0.25]
+    """
+    at_least("width", width, 0)
+    return np.asarray(_played(np.array(values, dtype=float), np.array([width]))[0])
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from miho.vehicle.data import brake_play_test
-from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.vehicle.data.synthetic_play import PLAY, TURNS
+from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE, PLAY, TURNS
 from miho.vehicle.models import BrakePlay
 
 TRUE = np.array([*(getattr(EMBEDDED_BRAKE, name) for name in ("u0", "u1", "P_max", "n")), PLAY])
