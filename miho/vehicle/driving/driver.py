@@ -191,18 +191,9 @@ class Driver:
         at = self.plan.line.project(motion.x, motion.y).s
         command = Command(gear=speed.gear)
         return DriverState(
-            self.plan,
-            at,
-            motion.vx,
-            0,
-            motion.vx,
-            motion.vx,
-            speed,
-            self.steering.initial,
-            command,
-            False,
-            "",
-        )
+            self.plan, at=at, vx=motion.vx, laps=0, cap=motion.vx, desired=motion.vx, speed=speed,
+            steering=self.steering.initial, command=command, planned=False, stopped="",
+        )  # fmt: skip
 
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
         """Return the next command for a measured motion, and the new state."""

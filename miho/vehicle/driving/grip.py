@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from miho.quantities import Array
-from miho.vehicle.models.axle import Axle
+from miho.vehicle.models.axle import Axle, curve_model
 from miho.vehicle.models.magic_formula import MagicFormula
-from miho.vehicle.models.tire import Pacejka, PacejkaCurvature
 
 SLIP = np.linspace(-0.35, 0.35, 1401)
 """Slip angles [rad] and slip ratios [-] of the search for peaks."""
@@ -103,8 +102,7 @@ class Grip:
         directions [-], broadcast to (4,); curves at one load do not determine it.
         """
         curves = [front.left, front.right, rear.left, rear.right]
-        models = {len(model.parameters): model for model in (Pacejka(), PacejkaCurvature())}
-        Fy = np.array([models[theta.size].predict(theta[None], SLIP)[0] for theta in curves])
+        Fy = np.array([curve_model(theta).predict(theta[None], SLIP)[0] for theta in curves])
         left, right = Fy.max(axis=1), -Fy.min(axis=1)
         q = np.broadcast_to(np.asarray(sensitivity, dtype=float), 4)
         load = np.broadcast_to(np.asarray(loads, dtype=float), 4)

@@ -95,7 +95,7 @@ class KnownCar:
 
     def axles(self, vx: float) -> tuple[Axle, Axle]:
         """Return both axles at the loads of straight driving at a speed [m/s] on a plane."""
-        loads = np.array(LoadTransfer(self.vehicle).wheel_loads(vx))
+        loads = straight_loads(self.vehicle, vx)
         front, rear = self.loaded_axles
         return front.at(loads[:2]), rear.at(loads[2:])
 
@@ -129,18 +129,19 @@ class KnownCar:
         loads = static_loads(car)
         schedule = GainSchedule.of(sampled, weights)
         noise = Sensors() if noise is None else noise
-        return SteeringController(
-            car,
-            schedule,
-            _axle_slip(front, loads[:2]),
-            _axle_slip(rear, loads[2:]),
-            ErrorEstimator.of(sampled, noise, schedule.speeds),
-        )
+        front_slip, rear_slip = _axle_slip(front, loads[:2]), _axle_slip(rear, loads[2:])
+        estimator = ErrorEstimator.of(sampled, noise, schedule.speeds)
+        return SteeringController(car, schedule, front_slip, rear_slip, estimator)
+
+
+def straight_loads(vehicle: Vehicle, vx: float) -> Array:
+    """Return the loads of the wheels [N], (4,), at a constant speed [m/s] straight ahead."""
+    return np.array(LoadTransfer(vehicle).wheel_loads(vx))
 
 
 def static_loads(vehicle: Vehicle) -> Array:
     """Return the loads of the wheels at rest [N], (4,): front left, front right, rear likewise."""
-    return np.array([float(load) for load in LoadTransfer(vehicle).wheel_loads(0.0)])
+    return straight_loads(vehicle, 0.0)
 
 
 def inclinations(vehicle: Vehicle) -> Array:

@@ -89,7 +89,8 @@ class Recording:
         """Return the log of sensors, with noise from `rng`."""
         rows = [sensors.measure(motion, rng) for motion in self.motions]
         channels = channels_of(rows, self.commands)
-        return DrivingLog(name, channels | {"time": PERIOD * np.arange(len(rows))})
+        channels["time"] = np.asarray(PERIOD * np.arange(len(rows)))
+        return DrivingLog(name, channels)
 
 
 def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:

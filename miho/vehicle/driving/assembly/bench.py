@@ -16,7 +16,7 @@ from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.loaded_axle import LoadedAxle
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models import Axle, Brake, EngineMap
+from miho.vehicle.models import Axle, Brake
 from miho.vehicle.models.load_scaling import LoadSensitivity, load_sensitivity
 
 TIRES = ("lf", "rf", "lr", "rr")
@@ -28,23 +28,10 @@ def assembled(
     thetas: Mapping[str, Array],
     sensitivity: float | None = None,
 ) -> KnownCar:
-    """Assemble a car from identified parameters of all its parts.
+    """Assemble a car from problems of tires, engine and brake, and identified parameters, by part.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The car.
-    problems : Mapping[str, CurveFit]
-        Identification problems of tires, engine and brake, by part.
-    thetas : Mapping[str, ndarray]
-        Identified parameters of each part. Curves of the tires follow from `loaded_axle`.
-    sensitivity : float, optional
-        Load sensitivity [-] of peak and stiffness of all tires; by default estimated from the data.
-
-    Returns
-    -------
-    KnownCar
-        The car.
+    Curves of the tires follow from `loaded_axle`. The load sensitivity [-] of peak and stiffness is
+    one number for all tires, or estimated from the data.
     """
     front, rear = (
         loaded_axle([problems[tire].dataset for tire in pair], [thetas[tire] for tire in pair])
@@ -55,7 +42,9 @@ def assembled(
     if sensitivity is not None:
         peak = stiffness = np.full(4, sensitivity)
     grip = Grip.of_axles(front.axle, rear.axle, loads, sensitivity=peak)
-    engine, brake = _engine(problems, thetas), _brake(problems, thetas)
+    learned = {throttle: problems[name] for throttle, name in DATASETS.items()}
+    parameters = {throttle: thetas[name] for throttle, name in DATASETS.items()}
+    engine, brake = engine_of(learned, parameters).integrated, _brake(problems, thetas)
     return KnownCar(vehicle, front.axle, rear.axle, loads, grip, engine, brake, stiffness)
 
 
@@ -72,11 +61,6 @@ def loaded_axle(data: Sequence[Dataset], thetas: Sequence[Array]) -> LoadedAxle:
     ]
     peak, stiffness = np.minimum(np.array(learned, dtype=float).T, 0.0)
     return LoadedAxle(Axle(*thetas), loads, LoadSensitivity(peak, stiffness))
-
-
-def _engine(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> EngineMap:
-    learned = {throttle: problems[name] for throttle, name in DATASETS.items()}
-    return engine_of(learned, {t: thetas[name] for t, name in DATASETS.items()}).integrated
 
 
 def _brake(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> Brake:

@@ -23,20 +23,9 @@ DATASETS = MappingProxyType({0.05: "torque_05", 0.15: "torque_15", 0.2: "torque_
 
 @dataclass(frozen=True)
 class IdentifiedEngine:
-    """Identified curves and maps of an engine; keys are throttle openings from 0 to 1.
+    """Problems and learned curves of an engine by throttle opening, all dyno points, and maps.
 
-    Attributes
-    ----------
-    problems : Mapping[float, CurveFit]
-        Identification problems.
-    curves : Mapping[float, TorqueCurve]
-        Learned curves.
-    dyno : Dataset
-        All dyno points.
-    trusted : EngineMap
-        Map of the reliable dyno points only.
-    integrated : EngineMap
-        Map blended with the learned curves.
+    One map is of the reliable dyno points only, and one is blended with the learned curves.
     """
 
     problems: Mapping[float, CurveFit]
@@ -60,12 +49,16 @@ def engine_of(
         for throttle, problem in problems.items()
     }
     dyno = dyno_test(seed)
-    trusted_rows = (dyno["throttle"] == 0) | (dyno["throttle"] >= DYNO_TRUSTED)
-    trusted = EngineMap.from_points(
-        *(dyno[name][trusted_rows] for name in ("throttle", "omega", "torque"))
-    )
+    trusted = trusted_map(dyno)
     integrated = trusted.integrate(list(curves.values()))
     return IdentifiedEngine(problems, curves, dyno, trusted, integrated)
+
+
+def trusted_map(dyno: Dataset, ratio: float = 1.0) -> EngineMap:
+    """Return the map of the reliable dyno points, with `ratio` times the torque of openings."""
+    throttle, high = dyno["throttle"], dyno["throttle"] >= DYNO_TRUSTED
+    rows, torque = (throttle == 0) | high, dyno["torque"] * np.where(high, ratio, 1.0)
+    return EngineMap.from_points(throttle[rows], dyno["omega"][rows], torque[rows])
 
 
 def learned_curve(problem: CurveFit, theta: Array, throttle: float) -> TorqueCurve:

@@ -11,7 +11,7 @@ from miho.models import read_parameters
 from miho.models.identified import Identified
 from miho.vehicle.data import dyno_test
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.vehicle.data.synthetic_engine import DYNO_TRUSTED
+from miho.vehicle.driving.assembly.engine import trusted_map
 from miho.vehicle.driving.assembly.from_drives import (
     HIGH_OPENINGS,
     LOW_OPENINGS,
@@ -19,8 +19,7 @@ from miho.vehicle.driving.assembly.from_drives import (
     part_of,
 )
 from miho.vehicle.driving.grip import Grip
-from miho.vehicle.driving.known_car import KnownCar
-from miho.vehicle.driving.load_transfer import LoadTransfer
+from miho.vehicle.driving.known_car import KnownCar, straight_loads
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models import Axle, Brake, EngineMap, Pacejka, TorqueCubic, TorqueCurve
 from miho.vehicle.models.brake_statics import BrakeDeceleration
@@ -31,24 +30,12 @@ BEYOND_THE_MAP = (1.0, 1.1)
 
 @dataclass(frozen=True)
 class Wrong:
-    """Factors on identified parameters [-], for drives with deliberately wrong parameters.
+    """Factors on identified parameters [-], for drives with deliberately wrong parameters."""
 
-    Attributes
-    ----------
-    grip : float
-        Factor of the forces of both axles.
-    stiffness : float
-        Factor of B.
-    torque : float
-        Factor of the engine map.
-    brake : float
-        Factor of the gain of the brake.
-    """
-
-    grip: float = 1.0
-    stiffness: float = 1.0
-    torque: float = 1.0
-    brake: float = 1.0
+    grip: float = 1.0  # of the forces of both axles
+    stiffness: float = 1.0  # of B
+    torque: float = 1.0  # of the engine map
+    brake: float = 1.0  # of the gain of the brake
 
 
 def known_from(
@@ -94,8 +81,7 @@ def known_from(
         read_parameters(folder / f"{axle}_axle.json", Pacejka()) for axle in ("front", "rear")
     )
     axles = _axle(front, off), _axle(rear, off)
-    at = LoadTransfer(vehicle).wheel_loads(front.derived[MEAN_SPEED].value)
-    loads = np.array([float(load) for load in at])
+    loads = straight_loads(vehicle, front.derived[MEAN_SPEED].value)
     grip = Grip.of_axles(*axles, loads, sensitivity=sensitivity)
     engine = engine_from(folder, extended=extended, dyno=dyno, seed=seed)
     engine = replace(
@@ -109,13 +95,7 @@ def engine_from(
     folder: Path, *, extended: bool = False, dyno: float = 1.0, seed: int = 0
 ) -> EngineMap:
     """Return the integrated map of the learned curves in a folder; see `known_from`."""
-    test = dyno_test(seed)
-    throttle, high = test["throttle"], test["throttle"] >= DYNO_TRUSTED
-    trusted_rows = (throttle == 0) | high
-    torque = test["torque"] * np.where(high, dyno, 1.0)
-    trusted = EngineMap.from_points(
-        throttle[trusted_rows], test["omega"][trusted_rows], torque[trusted_rows]
-    )
+    trusted = trusted_map(dyno_test(seed), dyno)
     openings = LOW_OPENINGS + (HIGH_OPENINGS if extended else ())
     curves = [
         _curve(read_parameters(folder / f"{part_of(opening)}.json", TorqueCubic()), opening)
