@@ -51,22 +51,7 @@ class FrictionSchedule:
 
     @classmethod
     def drop(cls, at: float, share: float, within: float = 0.2) -> FrictionSchedule:
-        """Return a friction of 1 that falls once.
-
-        Parameters
-        ----------
-        at : float
-            Time at which the fall begins [s].
-        share : float
-            Share of the friction that is lost [-].
-        within : float, optional
-            Duration of the fall [s].
-
-        Returns
-        -------
-        FrictionSchedule
-            The friction.
-        """
+        """Return a friction of 1 that loses a share [-] from a time on, within a duration [s]."""
         return cls((at, at + within), (1.0, 1.0 - share))
 
     def at(self, time: float) -> float:

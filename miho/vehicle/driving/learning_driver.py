@@ -23,23 +23,10 @@ class FrictionSource(ABC):
 
     @abstractmethod
     def friction(self, motion: Motion, curvature: float, bank: float) -> float:
-        """Return the present friction, relative to the known car [-].
+        """Return the present friction [-], relative to the known car; NaN keeps the plan.
 
-        The driver calls this once for each command.
-
-        Parameters
-        ----------
-        motion : Motion
-            Measured motion.
-        curvature : float
-            Curvature of the line at the car [1/m].
-        bank : float
-            Bank of the road at the car [rad].
-
-        Returns
-        -------
-        float
-            The friction; NaN keeps the present plan.
+        The driver calls this once for each command, with the measured motion, and the curvature
+        [1/m] and bank [rad] of the line at the car.
         """
 
 
@@ -81,22 +68,7 @@ class LearningDriver:
         return self.driver.begin(motion)
 
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
-        """Return the next command for a measured motion, and the new state.
-
-        Parameters
-        ----------
-        state : DriverState
-            State of the driver.
-        motion : Motion
-            Measured motion.
-
-        Returns
-        -------
-        Command
-            The command.
-        DriverState
-            The new state, whose plan may be another one.
-        """
+        """Return the next command for a measured motion, and the new state, perhaps replanned."""
         point = state.plan.line.at(state.at)
         now = self.source.friction(motion, float(point.curvature), float(point.bank))
         planned = state.plan.friction.mu / self.planner.mu

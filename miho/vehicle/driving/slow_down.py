@@ -29,25 +29,9 @@ def slowed_from(
 ) -> VelocityPlan:
     """Return the plan with higher speeds from an arc length, where the car is too fast for it.
 
-    The speeds fall as fast as the friction allows until they meet the plan.
-
-    Parameters
-    ----------
-    plan : VelocityPlan
-        The plan.
-    friction : FrictionCar
-        Friction limits while slowing down.
-    s : float
-        Arc length [m].
-    v : float
-        Speed of the car [m/s].
-    brake : float
-        Largest deceleration by the brakes [m/s^2].
-
-    Returns
-    -------
-    VelocityPlan
-        The plan itself if the car is not too fast.
+    The car has the speed v [m/s] at the arc length s [m]. The speeds fall as fast as the friction
+    and the brakes, with a largest deceleration [m/s^2], allow until they meet the plan. The result
+    is the plan itself if the car is not too fast.
     """
     line, start = plan.line, int((s % plan.line.length) / plan.line.step)
     if v <= plan.v[start]:

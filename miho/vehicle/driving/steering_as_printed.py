@@ -38,16 +38,8 @@ class PrintedSteering:
     Notes
     -----
     The equations contain no feed-forward of curvature and bank, and no delay and lag of the
-    steering. In a steady turn, the regulator therefore steers only with an error.
-    The paper leaves some quantities open. They are interpreted as follows.
-
-    - The matrices of the model are not printed. They are taken from Rajamani, Vehicle Dynamics and
-      Control (2011), Ch. 2.5, which the paper cites. The stiffnesses are of whole axles, because
-      the paper fits the sum of both tire forces; the factor 2 of the book does not occur.
-    - An axle's B C D is the sum of B C D of its two tire curves.
-    - e_psi' is the yaw rate less the path's yaw rate, v_x kappa.
-    - Gains over piecewise velocity intervals: each interval of 5 m/s has the gain of its middle.
-    - There is no rule for slow driving; the gain of 2.5 m/s is used down to standstill.
+    steering. In a steady turn, the regulator therefore steers only with an error. The page on
+    driving of the manual lists how quantities that the paper leaves open are interpreted.
     """
 
     vehicle: Vehicle
@@ -62,24 +54,7 @@ class PrintedSteering:
     def of(
         cls, vehicle: Vehicle, front: Axle, rear: Axle, weights: Weights, period: float = 0.01
     ) -> PrintedSteering:
-        """Design the gains for a car with the identified curves of its axles.
-
-        Parameters
-        ----------
-        vehicle : Vehicle
-            The car.
-        front, rear : Axle
-            Curves of the tires (Eq. 4).
-        weights : Weights
-            Q and R of Eq. 15.
-        period : float, optional
-            Time between commands [s].
-
-        Returns
-        -------
-        PrintedSteering
-            The regulator.
-        """
+        """Return the regulator of a car with identified curves (Eq. 4), Q and R of Eq. 15."""
         C_f, C_r = (
             float(central_stiffness(axle.left) + central_stiffness(axle.right))
             for axle in (front, rear)

@@ -37,44 +37,19 @@ COLUMNS = {"slip": "rad", "load": "-", "use": "-"}
 def axle_use(  # type: ignore[no-untyped-def]
     slip, load, *, front_grip, stiffness, shape, shift, sensitivity=0.0
 ):
-    """Lateral force of an axle per load, positive to the left (ISO-W: at negative slip angles).
+    """Lateral force of an axle per load [-], positive to the left (ISO-W: at negative slip angles).
 
-    Parameters
-    ----------
-    slip : ndarray
-        Slip angle of the axle [rad].
-    load : ndarray
-        Load of the axle, relative to rest [-].
-    front_grip : float
-        Largest force per load at the load at rest [-].
-    stiffness : float
-        Cornering stiffness per load [1/rad].
-    shape : float
-        C of the Magic Formula [-].
-    shift : float
-        Slip angle without a force [rad].
-    sensitivity : float, optional
-        Relative change of the grip over a relative change of the load [-].
-
-    Returns
-    -------
-    ndarray
-        Force per load [-].
+    slip is the slip angle [rad], and load the load relative to rest [-]. The parameters are the
+    largest force per load at rest [-], the cornering stiffness per load [1/rad], C of the Magic
+    Formula [-], the slip angle without a force [rad], and the relative change of the grip over a
+    relative change of the load [-].
     """
     peak = front_grip * (1 + sensitivity * (load - 1))
     return -peak * np.sin(shape * np.arctan(stiffness * (slip - shift) / (shape * peak)))
 
 
 class FrontAxle:
-    """Rows of the front axle from measured motions.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The car.
-    period : float, optional
-        Time between two motions [s].
-    """
+    """Rows of the front axle from measured motions, one each period [s]."""
 
     def __init__(self, vehicle: Vehicle, period: float = 0.01) -> None:
         self.vehicle, self.period = vehicle, period
@@ -84,19 +59,9 @@ class FrontAxle:
     def row(self, motion: Motion, curvature: float, bank: float) -> dict[str, float] | None:
         """Take a motion, and return a row after each `MEAN` motions.
 
-        A row has the time [s] and the columns of `COLUMNS`. Its force is NaN while it is not known.
-
-        Parameters
-        ----------
-        motion : Motion
-            Measured motion.
-        curvature, bank : float
-            Curvature [1/m] and bank [rad] of the line at the car.
-
-        Returns
-        -------
-        dict of str to float or None
-            The means of the motions since the last row; None between two rows.
+        A row has the time [s] and the columns of `COLUMNS`, as means of the motions since the last
+        row. Its force is NaN while it is not known. Curvature [1/m] and bank [rad] are of the line
+        at the car.
         """
         car, vx = self.vehicle, max(motion.vx, 1.0)
         self._yaw_rates.append(motion.yaw_rate)
@@ -121,14 +86,8 @@ class FrontAxle:
 class TrackedFriction(FrictionSource):
     """Friction of the road relative to the known car, from a method that tracks the front grip.
 
-    Parameters
-    ----------
-    axle : FrontAxle
-        Rows of the axle.
-    running : Running
-        Run of the method, with the model `axle_use`.
-    before : float
-        Front grip of the known car [-].
+    The method runs on rows of the axle with the model `axle_use`; `before` is the front grip of the
+    known car [-].
     """
 
     def __init__(self, axle: FrontAxle, running: Running, before: float) -> None:
@@ -146,19 +105,9 @@ class TrackedFriction(FrictionSource):
 
 
 def front_rows(vehicle: Vehicle, drive: Drive) -> dict[str, Array]:
-    """Return the rows of the front axle from the measurements of a drive.
+    """Return rows of the front axle, time [s] and `COLUMNS`, of a drive with 100 commands a second.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The car.
-    drive : Drive
-        The drive, with a command every 0.01 s.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n,)
-        The time [s] and the columns of `COLUMNS`.
+    The columns are (n,).
     """
     axle = FrontAxle(vehicle)
     names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering")

@@ -51,17 +51,8 @@ class PrintedPlanner:
 
     Notes
     -----
-    The paper leaves some of these quantities open. They are interpreted as follows.
-
-    - F_z: the static load of each wheel, with the roll couple shared by the axles in proportion to
-      their roll stiffness and divided by the track. Downforce, banking and longitudinal transfer
-      do not occur in the equations.
-    - F_z^nominal: the static load. The text prints another symbol for it than the equation.
-    - F_y^peak: the largest force of the tire curve, with its offsets, towards the inside of the
-      bend.
-    - Signs: forces, psi' and kappa count as positive towards the inside of the bend.
-    - A negative a_y,max has no root; the desired speed is then 0.
-    - A kappa below 1e-9 1/m counts as 1e-9 1/m, so that straights have the top speed.
+    The page on driving of the manual lists how quantities that the paper leaves open are
+    interpreted. Downforce, banking and longitudinal load transfer do not occur in the equations.
 
     `speeds` and `plan` assume that the car follows the line in a steady turn: v_y' = 0,
     psi' = v_x kappa and delta = L kappa. Eq. 11 and 12 are then 2 v_x^2 kappa = F / m with the
@@ -80,19 +71,11 @@ class PrintedPlanner:
         positive_settings(self, ("mu", "top_speed"))
 
     def plan(self, line: Track) -> VelocityPlan:
-        """Plan the laps of a line.
+        """Return speeds by Eq. 12 for laps of a line.
 
-        Parameters
-        ----------
-        line : Track
-            Line of the car.
-
-        Returns
-        -------
-        VelocityPlan
-            Speeds by Eq. 12. `lateral` is v_x^2 kappa, `limit` is a_y,max of Eq. 11 at these
-            speeds [m/s^2], and `use` is their ratio. Accelerations between points are not
-            limited. `friction` has the limits of the corrected plan, for the evaluation of drives.
+        `lateral` is v_x^2 kappa, `limit` is a_y,max of Eq. 11 at these speeds [m/s^2], and `use` is
+        their ratio. Accelerations between points are not limited. `friction` has the limits of the
+        corrected plan, for the evaluation of drives.
         """
         v = self.speeds(line)
         lateral = v**2 * line.curvature
@@ -110,23 +93,10 @@ class PrintedPlanner:
         return np.asarray(np.minimum(v, self.top_speed))
 
     def speed(self, motion: Motion, curvature: float, bank: float = 0.0) -> float:
-        """Return the desired speed of a car for its measured motion.
+        """Return v_x,des [m/s], from 0 to the top speed, for the measured motion of a car.
 
-        Parameters
-        ----------
-        motion : Motion
-            Measured motion: v_x [m/s], psi' [rad/s], delta [rad] and the accelerometer's a_y
-            [m/s^2], which gives v_y' = a_y + g sin(bank) - v_x psi'. With `transfer`, load
-            transfer follows from a_y.
-        curvature : float
-            Curvature of the path at the car [1/m]; the equations have no preview.
-        bank : float, optional
-            Bank of the road at the car [rad], used in v_y' only.
-
-        Returns
-        -------
-        float
-            v_x,des [m/s], from 0 to the top speed.
+        The accelerometer gives v_y' = a_y + g sin(bank) - v_x psi'; with `transfer`, load transfer
+        follows from a_y. Curvature [1/m] and bank [rad] are at the car, without preview.
         """
         turning = motion.vx * motion.yaw_rate
         vy_rate = motion.ay + g * math.sin(bank) - turning
