@@ -45,21 +45,11 @@ class SlowZone(NamedTuple):
 
 @dataclass(frozen=True)
 class Pace:
-    """Top speeds of successive laps, with ramps between them.
+    """Top speeds of successive laps, with ramps between them, and stretches with a lower one."""
 
-    Parameters
-    ----------
-    top_speeds : tuple of float
-        Top speed of each lap [m/s]; the last one is used for all further laps.
-    ramp, brake_ramp : float, optional
-        Rates at which the desired speed rises and falls between top speeds [m/s^2].
-    slow : tuple of SlowZone, optional
-        Stretches with a lower top speed.
-    """
-
-    top_speeds: tuple[float, ...]
-    ramp: float = 1.5
-    brake_ramp: float = 1.5
+    top_speeds: tuple[float, ...]  # of each lap [m/s]; the last one is used for all further laps
+    ramp: float = 1.5  # rate at which the desired speed rises [m/s^2]
+    brake_ramp: float = 1.5  # rate at which it falls [m/s^2]
     slow: tuple[SlowZone, ...] = ()
 
     def __post_init__(self) -> None:

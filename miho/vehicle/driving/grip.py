@@ -24,32 +24,16 @@ class Grip:
 
         peak(F_z) = mu (F_z / load) P (1 + q (F_z / load - 1))
 
-    mu [-] is the performance factor. q = 0 gives the load ratio of Eq. 10, in which load transfer
-    between equal tires has no effect.
-
-    Parameters
-    ----------
-    load : ndarray, shape (4,)
-        Nominal load [N].
-    left, right : ndarray, shape (4,)
-        P of the lateral force to the left, as in a left turn, and to the right [N]. They differ by
-        the offsets of the tires.
-    drive : ndarray, shape (4,)
-        P along the wheel [N].
-    lateral_sensitivity, longitudinal_sensitivity : ndarray, shape (4,)
-        q of each direction [-], above -1 and at most 0.
-
-    Raises
-    ------
-    ValueError
-        If shapes or values are invalid.
+    mu [-] is the performance factor. q, above -1 and at most 0, is 0 for the load ratio of Eq. 10,
+    in which load transfer between equal tires has no effect. Forces to the left and to the right
+    differ by the offsets of the tires.
     """
 
-    load: Array
-    left: Array
-    right: Array
-    drive: Array
-    lateral_sensitivity: Array
+    load: Array  # nominal [N]
+    left: Array  # P of the lateral force to the left, as in a left turn [N]
+    right: Array  # P of the lateral force to the right [N]
+    drive: Array  # P along the wheel [N]
+    lateral_sensitivity: Array  # q [-]
     longitudinal_sensitivity: Array
 
     def __post_init__(self) -> None:

@@ -18,21 +18,11 @@ ITERATIONS = 60
 
 @dataclass(frozen=True, eq=False)
 class LoadedAxle:
-    """Curves of two tires with the loads at which they were identified.
-
-    Parameters
-    ----------
-    axle : Axle
-        The curves.
-    loads : ndarray, shape (2,)
-        Loads of the curves of the left and the right wheel [N].
-    sensitivity : LoadSensitivity
-        Sensitivity of each tire at its load, (2,) each, or numbers for both.
-    """
+    """Curves of two tires with the loads at which they were identified."""
 
     axle: Axle
-    loads: Array
-    sensitivity: LoadSensitivity
+    loads: Array  # (2,), left and right [N]
+    sensitivity: LoadSensitivity  # of each tire at its load, (2,) each, or numbers for both
 
     def at(self, loads: ArrayLike) -> Axle:
         """Return the axle at loads [N] of the left and the right wheel, (2,)."""
@@ -40,27 +30,11 @@ class LoadedAxle:
         return Axle(left, right)
 
     def in_turn(self, alpha: ArrayLike, load: float, transfer: float) -> Array:
-        """Return the lateral force of the axle in steady turns, including load transfer.
+        """Return the lateral force of both tires [N] in steady turns, including load transfer.
 
-        Parameters
-        ----------
-        alpha : array_like
-            Slip angles [rad], ISO-W.
-        load : float
-            Load of both wheels [N].
-        transfer : float
-            Load transfer from the left to the right wheel per lateral force [-], at least 0; see
-            `transfer_per_force`.
-
-        Returns
-        -------
-        ndarray of alpha's shape
-            Lateral force of both tires [N].
-
-        Raises
-        ------
-        ValueError
-            If force and loads do not converge in `ITERATIONS`.
+        The slip angles [rad], of any shape, are ISO-W. `load` is the load of both wheels [N], and
+        `transfer` the load transfer from the left to the right wheel per lateral force [-], at
+        least 0 (see `transfer_per_force`). Raises ValueError if forces and loads do not converge.
         """
         slip = np.asarray(alpha, dtype=float)
         force = self.at([load / 2, load / 2]).force(slip)

@@ -78,32 +78,16 @@ def _clothoids(t: Array, length: float) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, kw_only=True)
 class LocalPlanner:
-    """Planner of paths around obstacles.
+    """Planner of paths around obstacles; all settings are in m."""
 
-    Parameters
-    ----------
-    length, width : float
-        Size of the car [m].
-    clearance : float
-        Lateral distance from an obstacle [m].
-    edge : float
-        Distance from the edges of the road [m].
-    ahead : float
-        Distance before and after an obstacle over which the full offset is kept [m].
-    out, back : float
-        Largest length of the transition from the line, and length of the return [m].
-    spacing : float
-        Distance of candidate offsets [m].
-    """
-
-    length: float = 4.9
+    length: float = 4.9  # of the car
     width: float = 1.93
-    clearance: float = 0.7
-    edge: float = 0.5
-    ahead: float = 3.0
-    out: float = 80.0
-    back: float = 120.0
-    spacing: float = 0.25
+    clearance: float = 0.7  # lateral distance from an obstacle
+    edge: float = 0.5  # distance from the edges of the road
+    ahead: float = 3.0  # distance before and after an obstacle with the full offset
+    out: float = 80.0  # largest length of the transition from the line
+    back: float = 120.0  # length of the return
+    spacing: float = 0.25  # of candidate offsets
 
     def __post_init__(self) -> None:
         positive_settings(self, [field.name for field in fields(self)], "[m]")

@@ -31,15 +31,9 @@ class LateralModel:
     the path, delta [rad] the steering angle, and psi_des' = vx kappa [rad/s] the yaw rate of the
     path. bank is positive if the left side is lower.
 
-    Parameters
-    ----------
-    car : SingleTrack
-        The car.
-    C_f, C_r : float or ndarray, shape (k,)
-        Cornering stiffnesses of the axles [N/rad], each the sum of both tires (Eq. 14, no factor
-        2). Arrays hold at `speeds`, because downforce increases the stiffness of an axle.
-    speeds : ndarray, shape (k,), optional
-        Rising speeds [m/s], with linear interpolation and constant extrapolation.
+    C_f and C_r [N/rad] are the cornering stiffnesses of the axles, each the sum of both tires
+    (Eq. 14, no factor 2). Arrays (k,) hold at rising speeds (k,) [m/s], because downforce increases
+    the stiffness of an axle, with linear interpolation and constant extrapolation.
     """
 
     car: SingleTrack

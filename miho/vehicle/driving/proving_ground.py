@@ -36,31 +36,18 @@ SLIDING = 0.15
 class Manoeuvre:
     """Open-loop driving on a plane, until the duration ends, the speed leaves a range, or a spin.
 
-    Parameters
-    ----------
-    speed : float
-        Initial speed [m/s].
-    gear : int
-        Gear, 0 for neutral.
-    duration : float
-        Largest duration [s].
-    within : tuple of float, optional
-        Range of the speed [m/s].
-    throttle, brake : float, optional
-        Opening and front pressure [Pa], constant after the first `LEAD` [s].
-    steering, frequency : float, optional
-        Final amplitude [rad] and frequency [Hz] of a sine of the steering. The amplitude rises
-        linearly from 0, and the throttle approximately keeps the speed.
+    Throttle and brake are constant after the first `LEAD` [s]. Steering is a sine whose amplitude
+    rises linearly from 0; the throttle then approximately keeps the speed.
     """
 
-    speed: float
-    gear: int
-    duration: float
-    within: tuple[float, float] = (5.0, 90.0)
-    throttle: float = 0.0
-    brake: float = 0.0
-    steering: float = 0.0
-    frequency: float = 0.4
+    speed: float  # at the start [m/s]
+    gear: int  # 0 for neutral
+    duration: float  # the largest [s]
+    within: tuple[float, float] = (5.0, 90.0)  # range of the speed [m/s]
+    throttle: float = 0.0  # opening from 0 to 1
+    brake: float = 0.0  # front pressure [Pa]
+    steering: float = 0.0  # final amplitude [rad]
+    frequency: float = 0.4  # of the sine [Hz]
 
     def __post_init__(self) -> None:
         settings_at_least(self, [f.name for f in fields(self) if f.name != "within"], 0)

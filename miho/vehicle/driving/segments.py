@@ -23,22 +23,14 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 class Segment:
     """A part of a track with a curvature that is linear in the arc length.
 
-    Parameters
-    ----------
-    length : float
-        Length [m].
-    curvature : tuple of float, optional
-        Curvature at start and end [1/m], positive to the left: equal on arcs, 0 on straights.
-    bank : tuple of float, optional
-        Bank at start and end [rad], positive if the left side is lower, with zero slope at both.
-    width : tuple of float, optional
-        Width of the whole road at start and end [m], with zero slope at both.
+    Curvature, bank and width are given at start and end. The curvature is positive to the left,
+    equal on arcs and 0 on straights. Bank and width have zero slope at both ends.
     """
 
-    length: float
-    curvature: tuple[float, float] = (0.0, 0.0)
-    bank: tuple[float, float] = (0.0, 0.0)
-    width: tuple[float, float] = (15.0, 15.0)
+    length: float  # [m]
+    curvature: tuple[float, float] = (0.0, 0.0)  # [1/m]
+    bank: tuple[float, float] = (0.0, 0.0)  # [rad], positive if the left side is lower
+    width: tuple[float, float] = (15.0, 15.0)  # of the whole road [m]
 
     def __post_init__(self) -> None:
         positive("length of a segment", self.length)
@@ -67,31 +59,11 @@ def track_of(
 ) -> Track:
     """Return the closed track of successive segments.
 
+    The points have the distance `step` [m], reduced to divide the lap. The line has the distance
+    `left` [m] from the left edge of the road, by default half the width.
+
     Rounded lengths leave a gap. The lengths are changed by the least sum of squares that closes it.
-
-    Parameters
-    ----------
-    name : str
-        Name of the track.
-    segments : sequence of Segment
-        The segments.
-    step : float, optional
-        Distance of the points [m], reduced to divide the lap.
-    left : float, optional
-        Distance of the line from the left edge of the road [m]; by default the line is in the
-        middle.
-    slack : float, optional
-        Largest change of a length [m].
-
-    Returns
-    -------
-    Track
-        The closed line.
-
-    Raises
-    ------
-    ValueError
-        If such changes do not close the track.
+    Raises ValueError if changes by up to `slack` [m] do not close it.
     """
     positive("step", step, "of metres")
     closed = _closed(name, list(segments), slack)

@@ -22,34 +22,19 @@ from miho.vehicle.models.engine_map import EngineMap
 class SpeedSettings:
     """Gains and rules of the speed controller.
 
-    Parameters
-    ----------
-    feedback : float, optional
-        Desired acceleration per speed error [1/s].
-    integral, integral_max : float, optional
-        Desired acceleration per integral of the speed error [1/s^2], and its limit [m/s^2].
-    dead_band : float, optional
-        Excess of the desired force over the force of the closed throttle at which throttle and
-        brake change over [N].
-    dwell : float, optional
-        Shortest time on one pedal [s].
-    shift_up, shift_down : float, optional
-        Engine speeds at which the gear changes [rad/s].
-    shift_dwell : float, optional
-        Shortest time in one gear [s].
-    brake_max : float, optional
-        Largest deceleration [m/s^2].
+    Throttle and brake change over if the desired force differs from the force of the closed
+    throttle by more than `dead_band`.
     """
 
-    feedback: float = 1.0
-    integral: float = 0.2
-    integral_max: float = 1.0
-    dead_band: float = 150.0
-    dwell: float = 0.2
-    shift_up: float = 6400 * RPM
+    feedback: float = 1.0  # desired acceleration per speed error [1/s]
+    integral: float = 0.2  # desired acceleration per integral of the speed error [1/s^2]
+    integral_max: float = 1.0  # limit of this acceleration [m/s^2]
+    dead_band: float = 150.0  # [N]
+    dwell: float = 0.2  # shortest time on one pedal [s]
+    shift_up: float = 6400 * RPM  # engine speeds at which the gear changes [rad/s]
     shift_down: float = 3900 * RPM
-    shift_dwell: float = 0.5
-    brake_max: float = 20.0
+    shift_dwell: float = 0.5  # shortest time in one gear [s]
+    brake_max: float = 20.0  # largest deceleration [m/s^2]
 
     def __post_init__(self) -> None:
         settings_at_least(self, [field.name for field in fields(self)], 0)

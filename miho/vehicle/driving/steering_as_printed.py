@@ -24,28 +24,15 @@ FASTEST = 90.0
 class PrintedSteering:
     """The regulator delta = -K xi of Eq. 15 as printed.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The car; its largest steering angle limits the command.
-    model : LateralModel
-        The lateral model (Eq. 13), with B C D of Eq. 14 as cornering stiffnesses [N/rad].
-    K : ndarray, shape (k, 4)
-        Gains, one row for each interval of 5 m/s from standstill.
-    period : float
-        Time between commands [s]; a command is held over it.
-
-    Notes
-    -----
     The equations contain no feed-forward of curvature and bank, and no delay and lag of the
     steering. In a steady turn, the regulator therefore steers only with an error. The page on
     driving of the manual lists how quantities that the paper leaves open are interpreted.
     """
 
-    vehicle: Vehicle
-    model: LateralModel
-    K: Array
-    period: float
+    vehicle: Vehicle  # its largest steering angle limits the command
+    model: LateralModel  # Eq. 13, with B C D of Eq. 14 as cornering stiffnesses [N/rad]
+    K: Array  # (k, 4), one row for each interval of 5 m/s from standstill
+    period: float  # time between commands [s]; a command is held over it
 
     def __post_init__(self) -> None:
         positive("period", self.period, "of seconds")

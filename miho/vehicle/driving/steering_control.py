@@ -25,25 +25,14 @@ STEEPEST = 0.15
 class AxleSlip:
     """Slip angle of an axle as a function of lateral force and load, ISO-W.
 
-    Parameters
-    ----------
-    load : float
-        Load of the axle, both wheels [N]. At another load, the curve is stretched about its centre
-        by `growth`.
-    force : ndarray, shape (k,)
-        Rising lateral forces between the two peaks [N]; beyond the peaks the slip is constant.
-    slip : ndarray, shape (k,)
-        Slip angles [rad].
-    centre : float, optional
-        Centre of the curve [rad].
-    sensitivity : LoadSensitivity, optional
-        By default forces are proportional to the load.
+    The curve (k,) has rising lateral forces between the two peaks; beyond the peaks the slip is
+    constant. At another load, it is stretched about its centre by `growth`.
     """
 
-    load: float
-    force: Array
-    slip: Array
-    centre: float = 0.0
+    load: float  # of both wheels [N]
+    force: Array  # [N]
+    slip: Array  # [rad]
+    centre: float = 0.0  # [rad]
     sensitivity: LoadSensitivity = PROPORTIONAL
 
     @classmethod

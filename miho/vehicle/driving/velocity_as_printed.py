@@ -29,28 +29,6 @@ class PrintedPlanner:
         a_y,max = (F_y,r^max + F_y,f^max cos(delta) - m v_x psi') / m                   (Eq. 11)
         v_x,des = sqrt(a_y,max / kappa)                                                 (Eq. 12)
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The car. The printed load transfer uses only the roll couple of its suspension.
-    grip : Grip
-        Nominal loads [N] and peaks [N] of the tires. Load sensitivities are not used.
-    mu : float, optional
-        Performance factor of Eq. 10 [-].
-    top_speed : float, optional
-        Largest speed [m/s]; Eq. 12 gives no limit on a straight.
-    transfer : bool, optional
-        If true, load transfer follows from the lateral acceleration of the plan instead of v_y'.
-    yaw_term : bool, optional
-        If false, Eq. 11 is used without m v_x psi'.
-
-    Raises
-    ------
-    ValueError
-        If `mu` or `top_speed` is not a positive number.
-
-    Notes
-    -----
     The page on driving of the manual lists how quantities that the paper leaves open are
     interpreted. Downforce, banking and longitudinal load transfer do not occur in the equations.
 
@@ -60,12 +38,12 @@ class PrintedPlanner:
     `speed` uses the measured motion.
     """
 
-    vehicle: Vehicle
-    grip: Grip
-    mu: float = 1.0
-    top_speed: float = 90.0
-    transfer: bool = False
-    yaw_term: bool = True
+    vehicle: Vehicle  # load transfer uses only the roll couple of its suspension
+    grip: Grip  # without its load sensitivities
+    mu: float = 1.0  # performance factor of Eq. 10 [-]
+    top_speed: float = 90.0  # [m/s]; Eq. 12 gives no limit on a straight
+    transfer: bool = False  # load transfer by the lateral acceleration of the plan, not by v_y'
+    yaw_term: bool = True  # m v_x psi' of Eq. 11
 
     def __post_init__(self) -> None:
         positive_settings(self, ("mu", "top_speed"))

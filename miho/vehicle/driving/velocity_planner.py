@@ -39,32 +39,19 @@ SCAN = 2.0
 
 @dataclass(frozen=True, eq=False)
 class VelocityPlan:
-    """Speeds at the points of a line, with their demand on the car.
+    """Speeds at the n points of a line, with their demand on the car; arrays are (n,).
 
-    Attributes
-    ----------
-    line : Track
-        The line with n points.
-    v : ndarray, shape (n,)
-        Speed [m/s].
-    ax : ndarray, shape (n,)
-        Constant acceleration from each point to the next one [m/s^2].
-    lateral, limit : ndarray, shape (n,)
-        Lateral demand as in `Demand`, and its largest magnitude in the same direction within the
-        planned friction at this speed and acceleration [m/s^2].
-    use : ndarray, shape (n,)
-        Use of the friction ellipse by the worse axle, 1 at the limit [-].
-    friction : FrictionCar
-        Planned friction limits.
+    The limit of the lateral demand is its largest magnitude in the same direction within the
+    planned friction, at this speed and acceleration.
     """
 
     line: Track
-    v: Array
-    ax: Array
-    lateral: Array
-    limit: Array
-    use: Array
-    friction: FrictionCar
+    v: Array  # speed [m/s]
+    ax: Array  # constant acceleration from each point to the next one [m/s^2]
+    lateral: Array  # as in `Demand` [m/s^2]
+    limit: Array  # [m/s^2]
+    use: Array  # of the friction ellipse by the worse axle, 1 at the limit [-]
+    friction: FrictionCar  # planned friction limits
 
     def at(self, s: float) -> tuple[float, float]:
         """Return the speed [m/s] and acceleration [m/s^2] at an arc length [m] of any lap."""

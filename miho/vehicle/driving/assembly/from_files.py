@@ -52,29 +52,9 @@ def known_from(
 
     Loads of the axles are taken at the mean speed of the weave, without load transfer. Load
     transfer in the weave lowered the measured peaks, so a planner that subtracts it again is
-    conservative.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder with a parameters file for each part.
-    vehicle : Vehicle
-        The car.
-    sensitivity : float
-        Load sensitivity of the peaks [-], which curves of an axle do not determine.
-    extended : bool, optional
-        Whether learned curves also replace the dyno above 20 % throttle.
-    dyno : float, optional
-        Ratio of the torque on the dyno to the torque in the car [-], from 30 % throttle.
-    seed : int, optional
-        Seed of the noise of the dyno.
-    wrong : Wrong, optional
-        Factors on the parameters.
-
-    Returns
-    -------
-    KnownCar
-        The car.
+    conservative. `sensitivity` [-] is the load sensitivity of the peaks, which curves of an axle do
+    not determine. If `extended`, learned curves also replace the dyno above 20 % throttle. `dyno`
+    [-] is the ratio of the torque on the dyno, whose noise has a seed, to the torque in the car.
     """
     off = Wrong() if wrong is None else wrong
     front, rear = (
