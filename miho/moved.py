@@ -30,6 +30,7 @@ MOVED = {
     },
     "miho.driving": "miho.vehicle.driving",
     "miho.vehicle.data.synthetic_play": "miho.vehicle.data.synthetic_brake",
+    "miho.vehicle.models.tire_fit": "miho.vehicle.models.tire_formula",
     "miho.analysis.arena_results": "baselines.arena.results",
     "miho.analysis.compare.readings": "baselines.arena.readings",
     "miho.identification.statement": "miho.identification.conclusion",

@@ -16,7 +16,7 @@ from miho.quantities import Array
 Stated = tuple[Model, Space | Mapping[str, Any] | None, Mapping[str, float] | None]
 """A model with bounds and start."""
 
-FILES: Mapping[str, str] = MappingProxyType({".tir": "miho.vehicle.models.tire_fit:tire_model"})
+FILES: Mapping[str, str] = MappingProxyType({".tir": "miho.vehicle.models.tire_formula:tire_model"})
 """The function that makes a model from a file, by the suffix of the file; it is imported at its
 first use. Its arguments are the path and the arguments of `Template.model_for`."""
 

@@ -211,8 +211,8 @@ def sample_lateral(
     rng = _generator(n, seed)
     _generator(held_out, seed)
     at_least("noise", noise, 0)
-    formula, _, name = _resolve(tire, None, strict)
-    p, bounds = formula.parameters, SamplingRanges(Fz=(0, 0), gamma=(0, 0), alpha=_pair(alpha))
+    formula, bounds, name = _resolve(tire, {"alpha": alpha}, strict)
+    p = formula.parameters
     levels = {
         "Fz": _levels("loads", [f * p.FNOMIN for f in LOADS] if loads is None else loads),
         "gamma": _levels("cambers", cambers),
@@ -318,12 +318,6 @@ def _generator(n: int, seed: int) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def _pair(bounds: Sequence[float]) -> Range:
-    if len(bounds) != 2:
-        raise ValueError(f"alpha is {bounds}; give its lower and upper bound")
-    return float(bounds[0]), float(bounds[1])
-
-
 def _levels(name: str, values: Sequence[float]) -> Array:
     levels = np.array(values, dtype=float)
     if not levels.size or not np.isfinite(levels).all():
@@ -354,8 +348,7 @@ def _resolve(
         formula, name, default = load_tir(embedded_tire(tire)), tire, EMBEDDED_RANGES[tire]
     else:
         formula, name = load_tir(tire, strict), file_name(tire)
-        FNOMIN = formula.parameters.FNOMIN
-        default = SamplingRanges(Fz=(0.8 * FNOMIN, 1.2 * FNOMIN), gamma=(-radians(1), radians(1)))
+        default = _oval(formula.parameters.FNOMIN, 0.0)
     if isinstance(ranges, SamplingRanges):
         return formula, ranges, name
     if ranges is not None and not isinstance(ranges, Mapping):

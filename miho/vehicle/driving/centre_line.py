@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.integrate import cumulative_simpson
-from scipy.interpolate import BSpline, PchipInterpolator, splprep
+from scipy.interpolate import BSpline, splprep
 
 from miho.data.csv import read_numbers
+from miho.vehicle.driving.lines import by_length
 from miho.vehicle.driving.track import Track
 
 
@@ -69,16 +69,12 @@ def track_from_csv(
     knots, parts, degree = fitted
     line = BSpline(knots, np.stack(parts, axis=1), degree)
     fine = np.linspace(0.0, along[-1], 8 * max(len(rows), math.ceil(along[-1] / step)) + 1)
-    speed = np.hypot(*line(fine, 1).T)
-    length = cumulative_simpson(speed, x=fine, initial=0.0)
-    n = math.ceil(length[-1] / step)
-    s = np.arange(n) * (length[-1] / n)
-    u = PchipInterpolator(length, fine)(s)
+    length, s, u = by_length(np.hypot(*line(fine, 1).T), fine, step)
     (sx, sy), (dx, dy), (ddx, ddy) = (line(u, order).T for order in range(3))
     wide = [np.interp(u, along, np.append(column, column[0])) for column in (left, right)]
     lean = np.zeros(len(rows)) if bank is None else rows[:, 4]
     return Track(
-        Path(path).stem, float(length[-1]), s, sx, sy, np.unwrap(np.arctan2(dy, dx)),
+        Path(path).stem, length, s, sx, sy, np.unwrap(np.arctan2(dy, dx)),
         (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3,
         np.interp(u, along, np.append(lean, lean[0])), *wide,
     )  # fmt: skip

@@ -104,18 +104,10 @@ class Sighting:
         return plan
 
 
-class Place(NamedTuple):
-    """Position of a car on the line of its plan, with tracking errors."""
-
-    at: Projection
-    error: TrackingError
-
-
-def place(line: Track, motion: Motion, hint: float | None) -> Place:
-    """Return the place of a motion, near an arc length `hint` [m] if it is known."""
+def place(line: Track, motion: Motion, hint: float) -> tuple[Projection, TrackingError]:
+    """Return the place of a motion on a line, near an arc length `hint` [m], and its errors."""
     at = line.project(motion.x, motion.y, hint)
-    error = tracking_error(line, at, motion.yaw, motion.vx, motion.vy, motion.yaw_rate)
-    return Place(at, error)
+    return at, tracking_error(line, at, motion.yaw, motion.vx, motion.vy, motion.yaw_rate)
 
 
 class DriverState(NamedTuple):

@@ -43,10 +43,7 @@ def beside(track: Track, offset: Callable[[Array], Offset], name: str | None = N
     Raises ValueError if the line leaves the road, or if the offset reaches the centre of a bend.
     """
     fine = np.linspace(0.0, track.length, 4 * track.s.size + 1)
-    length = cumulative_simpson(_stretch(track, offset, fine), x=fine, initial=0.0)
-    n = math.ceil(length[-1] / track.step)
-    s_line = np.arange(n) * (length[-1] / n)
-    s = PchipInterpolator(length, fine)(s_line)
+    length, s_line, s = by_length(_stretch(track, offset, fine), fine, track.step)
     e, slope, bend = offset(s)
     point = track.at(s)
     x, y = track.position(s, e)
@@ -54,10 +51,21 @@ def beside(track: Track, offset: Callable[[Array], Offset], name: str | None = N
     change = (track.at(s + 0.5).curvature - track.at(s - 0.5).curvature) / 1.0
     turned = u * (u * point.curvature + bend) + slope * (change * e + 2 * point.curvature * slope)
     return Track(
-        track.name if name is None else name, float(length[-1]), s_line, x, y,
+        track.name if name is None else name, length, s_line, x, y,
         point.heading + np.arctan2(slope, u), turned / np.hypot(u, slope) ** 3,
         point.bank, point.width_left - e, point.width_right + e,
     )  # fmt: skip
+
+
+def by_length(speed: Array, u: Array, step: float) -> tuple[float, Array, Array]:
+    """Return the length [m] of a line, arc lengths (n,) in equal steps, and its parameter there.
+
+    The line has the length `speed` (m,) per parameter u (m,). The steps are at most `step` [m].
+    """
+    length = cumulative_simpson(speed, x=u, initial=0.0)
+    n = math.ceil(length[-1] / step)
+    s = np.arange(n) * (length[-1] / n)
+    return float(length[-1]), s, PchipInterpolator(length, u)(s)
 
 
 def _stretch(track: Track, offset: Callable[[Array], Offset], s: Array) -> Array:

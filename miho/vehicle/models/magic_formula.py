@@ -184,7 +184,7 @@ class MagicFormula:
         tied: Mapping[str, str],
     ) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
         """Return the model of a force, with bounds and start, from the arguments of `miho.fit`."""
-        from miho.vehicle.models.tire_fit import tire_model
+        from miho.vehicle.models.tire_formula import tire_model
 
         return tire_model(self, x, y, space, start, fixed, tied)
 

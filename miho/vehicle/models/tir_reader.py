@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import isfinite, prod
 from typing import NamedTuple, NoReturn
 
@@ -126,35 +127,27 @@ class Fault(NamedTuple):
 
 def _lines(path: str) -> list[str]:
     """Return the lines of a file; raises TirError if it cannot be a property file."""
-    remedy = "give the path of a .tir file"
+    refused = partial(TirError.at, path)
     try:
         data = read_regular(path, MAX_BYTES + 1)
-    except (FileNotFoundError, NotADirectoryError):
-        raise TirError.at(path, 1, 1, "there is no such file", remedy) from None
-    except NotAFileError:
-        raise TirError.at(path, 1, 1, "is not a file", remedy) from None
+    except (FileNotFoundError, NotADirectoryError, NotAFileError) as error:
+        problem = "is not a file" if isinstance(error, NotAFileError) else "there is no such file"
+        raise refused(1, 1, problem, "give the path of a .tir file") from None
     except OSError as error:
-        raise TirError.at(
-            path, 1, 1, f"cannot be read ({error.strerror})", "check the permissions"
-        ) from None
+        problem = f"cannot be read ({error.strerror})"
+        raise refused(1, 1, problem, "check the permissions") from None
     if len(data) > MAX_BYTES:
-        raise TirError.at(
-            path, 1, 1, f"is larger than {MAX_BYTES} bytes", "a property file is a few kilobytes"
-        )
+        problem = f"is larger than {MAX_BYTES} bytes"
+        raise refused(1, 1, problem, "a property file is a few kilobytes")
     lines = _LINE_END.split(data.removeprefix(b"\xef\xbb\xbf").decode("latin-1"))
     for number, line in enumerate(lines, start=1):
         if len(line) > MAX_LINE:
-            raise TirError.at(
-                path, number, MAX_LINE + 1, f"line longer than {MAX_LINE} characters", "split it"
-            )
+            problem = f"line longer than {MAX_LINE} characters"
+            raise refused(number, MAX_LINE + 1, problem, "split it")
         if control := _CONTROL.search(line):
-            raise TirError.at(
-                path,
-                number,
-                control.start() + 1,
-                f"control character {control.group()!r}",
-                "save the file as plain text (latin-1 or UTF-8)",
-            )
+            problem = f"control character {control.group()!r}"
+            remedy = "save the file as plain text (latin-1 or UTF-8)"
+            raise refused(number, control.start() + 1, problem, remedy)
     return lines[:-1] if len(lines) > 1 and not lines[-1] else lines
 
 

@@ -1,4 +1,4 @@
-"""Model of a tire from a property file: force over slip, load and camber."""
+"""Model of a tire from a property file: force over slip, load and camber, also for `miho.fit`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from miho.data.measurements import Layout
 from miho.models.derived import Derived
 from miho.models.symbolic import Symbol, constant, trace
 from miho.models.traced import TracedExpression
+from miho.optim import Space
 from miho.quantities import Array
 from miho.vehicle.models.features import tire_features
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
@@ -203,3 +204,34 @@ def tire_formula(
 def is_coefficient(name: str) -> bool:
     """Return whether a name is a coefficient of the equations, not a nominal value or range."""
     return SECTION_OF.get(name, "").endswith("_COEFFICIENTS")
+
+
+def tire_model(
+    tire: MagicFormula | str | os.PathLike[str],
+    x: Any,
+    y: Any,
+    space: Space | Mapping[str, Any] | Collection[str],
+    start: Mapping[str, float] | None,
+    fixed: Mapping[str, float],
+    tied: Mapping[str, str],
+) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
+    """Return the model of a tire or of its file, with bounds and start, as `miho.fit` needs them.
+
+    A coefficient that is only named starts at the value of the tire. If coefficients are tied, the
+    space may have parameters that are not coefficients.
+    """
+    if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
+        raise ValueError(
+            "x and y of a tire: expected columns by name as x and the name of one of them, Fx, Fy "
+            "or Mz, as y"
+        )
+    space = [space] if isinstance(space, str) else space
+    bounded = isinstance(space, Space | Mapping)
+    named = space.names if isinstance(space, Space) else tuple(space)
+    extra = {name for name in named if bounded and tied and not is_coefficient(name)}
+    names = dict.fromkeys([*named, *(start or ()), *fixed, *tied])
+    model = tire_formula(tire, [name for name in names if name not in extra], [*x], y)
+    if isinstance(space, Space | Mapping):
+        return model, space, start
+    own = model.own_values()
+    return model, None, {name: own[name] for name in named} | dict(start or {})
