@@ -8,7 +8,7 @@ car. Induced drag and aligning moments of the tires are neglected.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,11 +38,7 @@ class Demand(NamedTuple):
 
 def demand(v: ArrayLike, curvature: ArrayLike, bank: ArrayLike) -> Demand:
     """Return the demand at speeds [m/s], plan curvatures [1/m] and banks [rad], broadcast."""
-    turning = np.asarray(v, dtype=float) ** 2 * curvature
-    return Demand(
-        np.asarray(turning * np.cos(bank) - g * np.sin(bank)),
-        np.asarray(g * np.cos(bank) + turning * np.sin(bank)),
-    )
+    return Demand(*map(np.asarray, point_demand(np.asarray(v, dtype=float), curvature, bank)))
 
 
 class FrictionCar(NamedTuple):
@@ -104,11 +100,10 @@ def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity:
 
 
 @part
-def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]:
-    """Return lateral and gravity of `Demand` [m/s^2] at a single point, for compiled code."""
-    turning = v * v * curvature
-    lateral = turning * math.cos(bank) - g * math.sin(bank)
-    return lateral, g * math.cos(bank) + turning * math.sin(bank)
+def point_demand(v: Any, curvature: Any, bank: Any) -> tuple[Any, Any]:
+    """Return the parts of `Demand` [m/s^2], for numbers or arrays, compiled or not."""
+    turning, sine, cosine = v * v * curvature, np.sin(bank), np.cos(bank)
+    return turning * cosine - g * sine, g * cosine + turning * sine
 
 
 @part

@@ -6,11 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.constants import g
 
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_tires
-from miho.vehicle.driving.friction import FrictionCar, friction_car, measured_use
+from miho.vehicle.driving.friction import FrictionCar, demand, friction_car, measured_use
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import inclinations, static_loads
 from miho.vehicle.driving.simulation import Drive
@@ -92,7 +91,7 @@ def outcome_table(
 ) -> dict[str, float | str]:
     """Return the largest errors and uses of a drive on a road with this friction, by name."""
     e_psi = float(np.degrees(np.abs(drive["e_psi"]).max()))
-    error = drive["vx"] - drive["v_des"]
+    error, use = drive["vx"] - drive["v_des"], planned_use(drive, driver)
     table: dict[str, float | str] = {
         "stopped": drive.stopped or "no",
         "left the road": str(departure(drive, clearance) or "no"),
@@ -106,8 +105,8 @@ def outcome_table(
         "largest steering command, road wheels [deg]": _round(
             np.degrees(np.abs(drive["u_steering"]).max())
         ),
-        "largest use of the planned friction": _round(planned_use(drive, driver).max()),
-        "beyond the planned friction": str(excess(drive, planned_use(drive, driver)) or "no"),
+        "largest use of the planned friction": _round(use.max()),
+        "beyond the planned friction": str(excess(drive, use) or "no"),
         "largest use of the true tires' friction": _round(
             true_use(drive, driver, road_friction).max()
         ),
@@ -166,8 +165,7 @@ def true_use(drive: Drive, driver: Driver, road_friction: float = 1.0) -> np.nda
 
 
 def _use(drive: Drive, car: FrictionCar) -> np.ndarray:
-    turning = drive["vx"] ** 2 * drive["curvature"]
-    gravity = g * np.cos(drive["bank"]) + turning * np.sin(drive["bank"])
+    _, gravity = demand(drive["vx"], drive["curvature"], drive["bank"])
     return np.asarray(measured_use(car, drive["vx"], drive["ax"], drive["ay"], gravity))
 
 
@@ -221,10 +219,8 @@ def gap(drive: Drive, driver: Driver) -> float:
         hint = at.s
         turn = yaw - float(line.at(at.s).heading)
         cosine, sine = abs(math.cos(turn)), abs(math.sin(turn))
-        length, width = (
-            CAR_LENGTH * cosine + CAR_WIDTH * sine,
-            CAR_WIDTH * cosine + CAR_LENGTH * sine,
-        )
+        length = CAR_LENGTH * cosine + CAR_WIDTH * sine
+        width = CAR_WIDTH * cosine + CAR_LENGTH * sine
         ahead = abs(math.remainder(at.s - obstacle.s, line.length))
         beside = abs(at.e - obstacle.e) - (width + obstacle.width) / 2
         along = ahead - (length + obstacle.length) / 2
