@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,15 +47,15 @@ class Conclusion:
     Parameters
     ----------
     evidence : str
-        What is known of the optimum, without a final full stop.
-    doubt : str, optional
+        What is known of the optimum, without a final full stop. Empty for an optimum in doubt.
+    doubt : str
         Why a better optimum may exist. Empty if the evidence is sufficient.
     certain : bool, optional
         Whether the evidence does not rest on the agreement of searches, which may all have missed a
         better optimum.
     """
 
-    evidence: str
+    evidence: str = ""
     doubt: str = ""
     certain: bool = False
 
@@ -142,23 +142,26 @@ def conclusion_on(
         conclusion = conclusion_from(loss, rounding, searches, best_known=best_known)
     elif found_by in (PROFILE, BOOTSTRAP):
         missed = f"{found_by} found this optimum after {_missed(before, searches, problem.unit)}"
-        conclusion = Conclusion(missed, missed)
+        conclusion = Conclusion(doubt=missed)
     else:
         conclusion = _by_descents(problem, theta, loss, searches)
         if not in_optimum(loss, before, rounding):
             step = found_by or "a descent from the run's result"
             lowered = with_unit(f"{step} lowered the error {_step(before, loss)}", problem.unit)
-            doubt = f"{conclusion.doubt}; {lowered}" if conclusion.doubt else ""
-            conclusion = Conclusion(f"{conclusion.evidence}; {lowered}", doubt, conclusion.certain)
-    objections = []
+            if conclusion.doubt:
+                conclusion = Conclusion(doubt=f"{conclusion.doubt}; {lowered}")
+            else:
+                conclusion = replace(conclusion, evidence=f"{conclusion.evidence}; {lowered}")
+    objection = ""
     if moving and exact is None:
-        objections.append(
+        objection = (
             f"a descent from this point was still improving after {moving:,} evaluations, so it is "
             "not yet an optimum, and standard errors and intervals do not hold"
         )
     elif at is not None and at.unidentifiable.any():
-        objections.append(lost_effect(at, problem.space, _never_identifiable(problem)))
-    conclusion = _with(conclusion, *filter(None, objections))
+        objection = lost_effect(at, problem.space, _never_identifiable(problem))
+    if objection:
+        return Conclusion(doubt="; ".join(filter(None, [conclusion.doubt, objection])))
     if conclusion.doubt or conclusion.certain or not searches_period(problem):
         return conclusion
     return Conclusion(f"{conclusion.evidence}. {REMARK}")
@@ -175,15 +178,6 @@ def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
     logarithmic = np.array([p.scale == "log" for p in problem.space.parameters])
     derivatives = derivatives * np.where(logarithmic, theta, 1.0)
     return is_zero(residuals, derivatives, problem.space.encode(theta), problem.space)
-
-
-def _with(conclusion: Conclusion, *objections: str) -> Conclusion:
-    """A conclusion with further reasons to doubt the optimum."""
-    if not objections:
-        return conclusion
-    doubt = "; ".join(filter(None, [conclusion.doubt, *objections]))
-    evidence = "; ".join([conclusion.evidence, *objections]) if conclusion.doubt else doubt
-    return Conclusion(evidence, doubt)
 
 
 def _by_descents(
@@ -289,10 +283,10 @@ def conclusion_from(
     # Insufficient evidence: how many searches agreed, and where the others ended.
     if not searches:
         single = "a single search cannot show whether a better optimum exists"
-        return Conclusion(single, single)
+        return Conclusion(doubt=single)
     if not finished:
         unfinished = f"no {all_of.kind()} finished within the budget"
-        return Conclusion(unfinished, unfinished)
+        return Conclusion(doubt=unfinished)
     if finished == 1:
         place = "found this optimum" if agreeing else "ended elsewhere"
         count = f"the only finished {all_of.kind()}{starts} {place}{_stopped_early(dropped)}"
@@ -305,7 +299,7 @@ def conclusion_from(
         doubt += "; the search ended before the evidence was sufficient"
     elif agreeing == finished:
         doubt += ", and one is too few" if finished == 1 else f", and {finished} are too few"
-    return Conclusion(doubt, doubt)
+    return Conclusion(doubt=doubt)
 
 
 def _against_the_best_known(loss: float, best_known: float, rounding: float) -> Conclusion:
@@ -313,7 +307,7 @@ def _against_the_best_known(loss: float, best_known: float, rounding: float) -> 
         return Conclusion("the best known optimum is reached", certain=True)
     more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
     doubt = f"the error is {100 * more:.3g} % above the error of the best known optimum"
-    return Conclusion(doubt, doubt)
+    return Conclusion(doubt=doubt)
 
 
 def _stopped_early(count: int) -> str:

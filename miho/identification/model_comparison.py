@@ -263,15 +263,10 @@ def contains(large: Report, small: Report) -> bool:
     columns = {**dataset.columns, dataset.output: curve}
     exact = replace(problem, dataset=replace(dataset, columns=columns, held_out=None))
     shared = dict(zip(small.problem.space.names, small.at.theta, strict=True))
-    starts = [theta] + [
-        np.array(
-            [
-                shared.get(name, other)
-                for name, other in zip(problem.space.names, others, strict=True)
-            ]
-        )
-        for others in (theta, np.zeros_like(theta))
-    ]
+    starts = [theta]
+    for others in (theta, np.zeros_like(theta)):
+        named = dict(zip(problem.space.names, others, strict=True)) | shared
+        starts.append(np.array([named[name] for name in problem.space.names]))
     target = REPRODUCED * len(dataset) * large.error**2
     return any(
         refit(exact, problem.space.clip(start), evaluations=EVALUATIONS).cost <= target

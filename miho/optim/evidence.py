@@ -13,19 +13,12 @@ with probability 1 / (w + 1); usually better optima are met sooner, and the prob
 So one more descent ends in a better optimum with a probability of about w / (n (n - 1)), which must
 be small. In addition, descents must have returned to the best optimum, in number and as a share.
 
-The R package gslnls follows Hickernell and Yuan [2]_ and stops by a count: after more than
-r + sqrt(r) NSP starts without an improvement, after NSP improvements (r = 4). It ignores where
-descents end. Eight starts that end in eight places, the first in the best, satisfy it without any
-return to the optimum; they do not satisfy the rule here. If all descents agree, 7 starts are
-enough here and 8 there. A share of starts is also easier to report than a count since the last
-improvement, which says less the earlier the improvement was.
+`docs/evidence.md` compares this rule with a count of starts since the last improvement.
 
 References
 ----------
 .. [1] C. G. E. Boender, A. H. G. Rinnooy Kan, "Bayesian stopping rules for multistart global
    optimization methods", Mathematical Programming 37 (1987) 59-80.
-.. [2] F. J. Hickernell, Y. Yuan, "A simple multistart algorithm for global optimization", OR
-   Transactions 1 (1997) 1-11.
 """
 
 from __future__ import annotations
