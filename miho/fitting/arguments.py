@@ -67,13 +67,8 @@ def data_of(
     """
     if missing not in MISSING:
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
-    by_name = isinstance(x, Mapping) or hasattr(x, "columns")
-    if isinstance(y, str):
-        if not by_name or y not in x:
-            raise ValueError(f"y is {y!r}; expected {_a_column(x, by_name)}")
-        output, values = y, x[y]
-    else:
-        output, values = "y", y
+    output = y if isinstance(y, str) else "y"
+    values = _column_of(x, "y", y)
     if not isinstance(model, Model):
         if not callable(model):
             _check_no_template(model)
@@ -91,14 +86,9 @@ def data_of(
         raise ValueError("convention and ranges: expected for the data of a tire only; remove them")
     while output in inputs:
         output += "_"
-    columns, units = (
-        {**inputs, output: _numbers(output, values)},
-        {**model.inputs, output: model.output},
-    )
-    if isinstance(sigma, str):
-        if not by_name or sigma not in x:
-            raise ValueError(f"sigma is {sigma!r}; expected {_a_column(x, by_name)}")
-        sigma = x[sigma]
+    columns = {**inputs, output: _numbers(output, values)}
+    units = {**model.inputs, output: model.output}
+    sigma = _column_of(x, "sigma", sigma)
     if sigma is not None and not np.ndim(sigma):
         sigma = float(sigma)
     elif sigma is not None:
@@ -130,10 +120,21 @@ def signed_model(model: Model) -> Signed | None:
     return model if isinstance(model, Signed) else None
 
 
-def _a_column(x: Any, by_name: bool) -> str:
-    """What y or sigma may be, as an error message says it."""
-    names = f", one of {', '.join(map(str, x))}" if by_name else ", with x by name"
-    return f"values, or the name of a column of x{names}"
+def by_name(x: Any) -> bool:
+    """Whether columns are given by name, in a mapping or a data frame."""
+    return isinstance(x, Mapping) or hasattr(x, "columns")
+
+
+def _column_of(x: Any, label: str, value: Any) -> Any:
+    """The column of x with this name; `value` itself unless it is a name."""
+    if not isinstance(value, str):
+        return value
+    if not by_name(x) or value not in x:
+        names = f", one of {', '.join(map(str, x))}" if by_name(x) else ", with x by name"
+        raise ValueError(
+            f"{label} is {value!r}; expected values, or the name of a column of x{names}"
+        )
+    return x[value]
 
 
 def _complete(
@@ -160,8 +161,8 @@ def _complete(
 
 def _check_alignment(x: Any, y: Any, sigma: Any) -> None:
     """Refuse pandas columns of the same length with different row labels."""
-    by_name = isinstance(x, Mapping) and not hasattr(x, "iloc")
-    columns = x.values() if by_name else x if isinstance(x, tuple) else (x,)
+    mapping = isinstance(x, Mapping) and not hasattr(x, "iloc")
+    columns = x.values() if mapping else x if isinstance(x, tuple) else (x,)
     labels = [part.index for part in (*columns, y, sigma) if hasattr(part, "iloc")]
     for other in labels[1:]:
         if len(other) == len(labels[0]) and not other.equals(labels[0]):
@@ -187,7 +188,7 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
     own = arguments if plain is function else inspect.signature(plain).parameters
     if any(a.kind is a.KEYWORD_ONLY for a in own.values()):
         return ()
-    if isinstance(x, Mapping) or hasattr(x, "columns"):
+    if by_name(x):
         names = tuple(name for name in arguments if name in x and name not in parameters)
         if not names:
             raise ValueError(
@@ -202,7 +203,7 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
 def inputs_of(model: Model, x: Any) -> dict[str, Any]:
     """The input columns by name."""
     names = list(model.inputs)
-    if isinstance(x, Mapping) or hasattr(x, "columns"):
+    if by_name(x):
         lacking = [name for name in names if name not in x]
         if lacking:
             raise ValueError(

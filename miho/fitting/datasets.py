@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.fitting.arguments import inputs_of
+from miho.fitting.arguments import by_name, inputs_of
 from miho.models.model import Model
 from miho.quantities import Array
 
@@ -70,7 +70,7 @@ class Rows:
                 f"y has the shape {self.y.shape}; expected (datasets, rows), {OTHERWISE}"
             )
         self.keys: NDArray[np.int64] = np.arange(len(self.y))
-        self.by_name = isinstance(x, Mapping) or hasattr(x, "columns")
+        self.by_name = by_name(x)
         names = [*x] if self.by_name else range(len(x) if isinstance(x, tuple) else 1)
         columns = [x[name] for name in x] if self.by_name else x if isinstance(x, tuple) else (x,)
         self.columns = dict(
