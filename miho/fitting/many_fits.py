@@ -6,7 +6,6 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,8 @@ from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
 from miho.models.tied import Tied
-from miho.optim import Space
+from miho.optim import Budget, Space
+from miho.optim.pace import Pace
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ missed the optimum, one of 20 shows it nine times in ten."""
 BETTER = 1e-6
 """Relative decrease from which a sum of squares counts as lower."""
 SLOW = 2.0
-"""Seconds before the first progress line, and between two lines."""
+"""Seconds before the first line of progress."""
 
 
 def fit_many(
@@ -138,7 +138,13 @@ def fit_many(
         return searched(CurveFit(chosen, dataset, bounds, compiled=False), seed=seed).theta
 
     fits = MachineFits.of(problem.model, problem.space, datasets)
-    progress = _Progress(len(datasets))
+    began, pace = time.perf_counter(), Pace(Budget(), SLOW)
+
+    def progress(done: int) -> None:
+        if pace.line_due():
+            seconds = time.perf_counter() - began
+            sys.stderr.write(f"fit_many: {done:,} of {len(datasets):,} datasets, {seconds:.0f} s\n")
+
     if fits is not None:
         ends, covariance, counts = _by_machine(fits, thetas, seed, progress)
     else:
@@ -265,19 +271,3 @@ def _table(
         "converged": ends.converged,
     }
     return pd.DataFrame(columns, index=index)
-
-
-@dataclass
-class _Progress:
-    """Progress of the descents, shown on stderr every few seconds."""
-
-    total: int
-    started: float = field(default_factory=time.perf_counter)
-    shown: float = 0.0
-
-    def __call__(self, done: int) -> None:
-        seconds = time.perf_counter() - self.started
-        if seconds - self.shown >= SLOW:
-            self.shown = seconds
-            line = f"fit_many: {done:,} of {self.total:,} datasets, {seconds:.0f} s\n"
-            sys.stderr.write(line)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import sys
-import time
 import warnings
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -18,6 +17,8 @@ from miho.identification.loss import Square
 from miho.identification.stated import reported_space, reported_values, tied_names
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.tied import Tied
+from miho.optim import Budget
+from miho.optim.pace import Pace
 from miho.quantities import Array
 from miho.validate import whole
 
@@ -232,13 +233,17 @@ def _walkers(density: _Density, at: Linearised, count: int, rng: np.random.Gener
 
 def _run(sampler: Any, start: Array, steps: int) -> str:
     """Sample, and return the reason for the end: "enough", "steps" or "interrupted"."""
-    look, times, progress = min(FIRST_LOOK, steps), 0.0, _Progress()
+    look, times, pace = min(FIRST_LOOK, steps), 0.0, Pace(Budget(), SECONDS)
     state: Any = start
     try:
         while True:
             for now in sampler.sample(state, iterations=look - sampler.iteration):
                 state = now
-                progress.show(sampler.iteration, times)
+                if pace.line_due():
+                    sys.stderr.write(
+                        f"posterior: step {sampler.iteration:,}, {times:.0f} of {ENOUGH:.0f} "
+                        "autocorrelation times\n"
+                    )
             times = sampler.iteration / _autocorrelation(sampler)
             if times >= ENOUGH or sampler.iteration >= steps:
                 return "enough" if times >= ENOUGH else "steps"
@@ -247,32 +252,6 @@ def _run(sampler: Any, start: Array, steps: int) -> str:
         if sampler.iteration < FEWEST_STEPS:
             raise
         return "interrupted"
-    finally:
-        progress.end()
-
-
-class _Progress:
-    """A line on stderr every two seconds, or at growing intervals if it is not a terminal."""
-
-    def __init__(self) -> None:
-        self._terminal, self._shown = sys.stderr.isatty(), False
-        self._pause, self._next = SECONDS, time.monotonic() + SECONDS
-
-    def show(self, step: int, times: float) -> None:
-        """Write the line if it is due."""
-        if time.monotonic() < self._next:
-            return
-        line = f"posterior: step {step:,}, {times:.0f} of {ENOUGH:.0f} autocorrelation times"
-        sys.stderr.write(f"\r{line}" if self._terminal else f"{line}\n")
-        sys.stderr.flush()
-        self._shown = True
-        self._pause *= 1 if self._terminal else 2
-        self._next = time.monotonic() + self._pause
-
-    def end(self) -> None:
-        """End the line on a terminal."""
-        if self._shown and self._terminal:
-            sys.stderr.write("\n")
 
 
 def _autocorrelation(sampler: Any) -> float:

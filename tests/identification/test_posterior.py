@@ -226,7 +226,7 @@ def test_progress_is_shown_after_some_time(
     assert capsys.readouterr().err == ""
     monkeypatch.setattr("miho.identification.posterior.SECONDS", 0.0)
     fit.posterior(steps=20)
-    assert "posterior: step 20, 0 of 50 autocorrelation times" in capsys.readouterr().err
+    assert "posterior: step 1, 0 of 50 autocorrelation times" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
