@@ -102,13 +102,8 @@ def fit_figure(
                 ax.scatter(*points, label=label, color=color, **style)
             ends = [min(predicted.min(), measured.values.min()),
                     max(predicted.max(), measured.values.max())]  # fmt: skip
-            ax.plot(
-                ends,
-                ends,
-                color=BLACK if parts else RED,
-                linewidth=1,
-                label="prediction = measurement",
-            )
+            color = BLACK if parts else RED
+            ax.plot(ends, ends, color=color, linewidth=1, label="prediction = measurement")
             ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
         for handle in ax.legend(loc="best", markerscale=4 / size**0.5).legend_handles:
             if handle is not None:

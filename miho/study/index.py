@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 import pandas as pd
+from numpy.typing import NDArray
 
-from miho.study.curves import COLUMNS, curve_of, error_of, without_theta
 from miho.study.files import CONFIG, CURVE, ENVIRONMENT, DamagedRun, NoResult, read_checked
 from miho.study.settings import Parts, RunRequest, differing, parts_of
 
@@ -24,6 +25,8 @@ RUN_COLUMNS = [
     "folder",
 ]  # fmt: skip
 KEYS = ["id", "problem", "optimizer", "seed"]
+COLUMNS = ("evaluations", "seconds", "cpu_seconds", "error")
+"""Columns of a curve."""
 DEPTH = 3
 """Runs are in root/<problem>/<optimizer>/<id>."""
 
@@ -222,3 +225,32 @@ def _run_row(folder: str, result: Mapping[str, Any]) -> dict[str, Any]:
 @lru_cache
 def _theta_names(*parameters: str) -> list[str]:
     return [f"theta.{name}" for name in parameters]
+
+
+def curve_of(text: bytes) -> NDArray[np.float64]:
+    """The curve in a JSON text: rows `COLUMNS`, a column for each improvement and one for the end.
+
+    Raises ValueError if there is none.
+    """
+    try:
+        values = orjson.loads(text)
+        rows = [*(values[name] for name in COLUMNS[:-1]), list(map(error_of, values["loss"]))]
+        curve = np.array(rows)
+    except (ValueError, LookupError, TypeError, OverflowError) as error:
+        raise ValueError(f"contains no curve: {type(error).__name__}: {error}") from None
+    if curve.ndim != 2 or curve.dtype.kind not in "iuf":
+        raise ValueError("contains no curve: its columns are not lists of numbers")
+    if not np.isfinite(curve[:-1]).all():
+        raise ValueError("contains no curve: its evaluations or seconds are not finite")
+    return curve.astype(float)
+
+
+def error_of(loss: float | None) -> float:
+    """The error of a loss, its square root; NaN if there is none."""
+    return math.nan if loss is None or loss < 0 else math.sqrt(loss)
+
+
+def without_theta(curve: bytes) -> bytes:
+    """A `curve.json` without its parameters, which are most of it; its keys are sorted."""
+    end = curve.find(b',"theta":')
+    return curve if end < 0 else curve[:end] + b"}"

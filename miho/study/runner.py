@@ -31,19 +31,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Execution:
-    """A requested run.
-
-    Attributes
-    ----------
-    status : Status
-        How it ended.
-    run : StoredRun or None
-        The stored run.
-    partial : Path or None
-        File of the partial result.
-    error : str or None
-        Error of a failed run.
-    """
+    """A requested run: its status, and a stored run, or the file of a partial result and error."""
 
     status: Status
     run: StoredRun | None = None

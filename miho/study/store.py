@@ -58,15 +58,7 @@ class RunInUse(Exception):  # noqa: N818 -- another process holds the run, not a
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A finished run.
-
-    Attributes
-    ----------
-    folder : Path
-        Its folder.
-    config, environment, curve, result : mapping
-        Contents of its files.
-    """
+    """A finished run: its folder, and the contents of its files."""
 
     folder: Path
     config: Mapping[str, Any]
@@ -77,13 +69,7 @@ class StoredRun:
 
 @dataclass(frozen=True)
 class Store:
-    """All runs below a root folder.
-
-    Parameters
-    ----------
-    root : Path
-        The folder.
-    """
+    """All runs below a root folder."""
 
     root: Path
 

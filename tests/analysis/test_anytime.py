@@ -55,9 +55,7 @@ def test_the_budget_is_the_most_that_was_spent_unless_given_by_problem() -> None
     np.testing.assert_array_equal(by_problem["aocc"][runs["problem"] == "p1"], alone)
 
 
-def test_bad_bounds_and_budgets_are_named() -> None:
+def test_bad_budgets_are_named() -> None:
     runs, curves = random_runs(np.random.default_rng(4))
-    with pytest.raises(ValueError, match=r"gaps is \(1, 0\.1\); expected two rising numbers"):
-        area_over_curve(runs, curves, gaps=(1, 0.1))
     with pytest.raises(ValueError, match="budget of p1 is None; expected a number above zero"):
         area_over_curve(runs, curves, {"p0": 1.0, "p2": 1.0})

@@ -126,7 +126,7 @@ def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
     figure = profiles_figure(data, performance_profile(ert, 1.01))
     solved = np.isfinite(ert["ert"][ert["factor"] == 1.01]).groupby(ert["optimizer"]).mean()
     for method, share in solved.items():
-        assert f"{100 * share:3.0f} %  {STYLES[str(method)].name}" in texts(figure)
+        assert f"{100 * share:\u2007>3.0f} %  {STYLES[str(method)].name}" in texts(figure)
 
 
 @pytest.mark.slow

@@ -210,13 +210,13 @@ def resample(repetitions: int, rng: np.random.Generator, resamples: int = RESAMP
     return np.vstack([np.arange(repetitions), draws])
 
 
-def interval(lows: Array, highs: Array, level: float = LEVEL) -> Interval:
+def interval(lows: Array, highs: Array) -> Interval:
     """The percentile interval of values known within [lows, highs]; row 0 is the estimate.
 
     Percentiles are observed values, rounded outwards, because interpolation cannot handle inf.
     """
     below, above = np.sort(lows[1:]), np.sort(highs[1:])
-    tail = (1 - level) / 2 * (below.size - 1)
+    tail = (1 - LEVEL) / 2 * (below.size - 1)
     return Interval(
         estimate=float(lows[0]),
         low=float(below[math.floor(tail)]),

@@ -98,19 +98,11 @@ def claims_table(
     the claim is for R = 10,000". Claims about gradient descent and swarms do not depend on R.
 
     A claim uses the seeds that all its methods have. Speed claims have two rows: seconds, on the
-    clock of `timing.clock_of`, and evaluations, which do not depend on the machine. The rules are
-    in `miho.analysis.compare.verdict`:
-
-    - speed-ups, gains and costs: reproduced if the interval contains the paper's figure or is above
-      it, not reproduced if it is below; depends on the repetitions if it also contains no
-      advantage; depends on the budget if cut runs decide; depends on the axis if seconds and
-      evaluations disagree; depends on a method that has no runs.
-    - terminal errors: reproduced if the interval touches the printed figure and is narrow, not
-      reproduced if it does not; depends on the data if MIHO ended on another floor than the
-      paper's. PSO-100 is stuck only if none of its runs came within 1 % of the best of any method.
-    - GBO-small hardly moves if its error falls by less than 10 % of the first error.
-    - A descent is stable if less than 10 % of its evaluations pass without improvement.
-    - GBO-large is in a local minimum if its error no longer falls, more than 1 % above the best.
+    clock of `timing.clock_of`, and evaluations, which do not depend on the machine. The rules of
+    the verdicts are in `miho.analysis.compare.verdict`. In addition, PSO-100 is stuck only if none
+    of its runs came within 1 % of the best of any method, GBO-small hardly moves if its error falls
+    by less than 10 % of the first one, and a descent is stable if less than 10 % of its evaluations
+    pass without improvement.
 
     The last rows compare MIHO with every other method at 0.5 kN, about which the paper claims
     nothing.

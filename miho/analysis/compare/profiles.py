@@ -127,7 +127,6 @@ def area_over_curve(
     curves: pd.DataFrame,
     budget: float | Mapping[str, float] | None = None,
     axis: Axis = "evaluations",
-    gaps: tuple[float, float] = GAPS,
 ) -> pd.DataFrame:
     """The area of each run in [0, 1], more is better: problem, optimizer, seed, budget, aocc.
 
@@ -148,9 +147,7 @@ def area_over_curve(
     N. van Stein, D. Vermetten, A. V. Kononova and T. Bäck, "Explainable benchmarking for iterative
     optimization heuristics", 2024.
     """
-    low, high = gaps
-    if not 0 < low < high:
-        raise ValueError(f"gaps is {gaps!r}; expected two rising numbers above zero")
+    low, high = GAPS
     runs, curves = comparison(runs, curves)
     budgets = _budgets(runs, axis, budget)
     ends = curves["problem"].map(budgets).to_numpy(dtype=float)

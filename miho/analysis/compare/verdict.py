@@ -64,18 +64,13 @@ def of_advantage(
     """Verdict on "at least this much better": a speed-up (no_advantage 1) or a relative gain (0).
 
     1. Fewer than three repetitions: depends on the repetitions.
-
     2. The whole interval is below the figure: not reproduced; but depends on the budget if MIHO was
     cut while its error still fell.
-
     3. The whole interval is at or above it: reproduced; but depends on the budget if the rival was
     cut while its error still fell.
-
     4. The interval contains the figure, but more than 2.5 % of the resamples are only known within
     bounds, because runs were cut before the target: depends on the budget.
-
     5. It contains both the figure and no advantage: depends on the repetitions.
-
     6. It contains the figure: reproduced; or depends on the budget as in 3.
     """
     if repetitions < LEAST_REPETITIONS:
@@ -109,16 +104,12 @@ def of_level(
     """Verdict on "ends at this error", in both directions.
 
     1. Fewer than three repetitions: depends on the repetitions.
-
     2. The interval does not touch the figure: depends on the data if the method ended within 1 % of
     the best error of any other method (the floor of these data differs from the paper's, so its
     figure could not appear); depends on the budget if it is above the figure and was cut while its
     error still fell; else not reproduced.
-
     3. It touches the figure, but is wider than 20 % of it: depends on the repetitions.
-
     4. It touches the figure, but runs were cut while the error still fell: depends on the budget.
-
     5. It touches the figure: reproduced.
     """
     if repetitions < LEAST_REPETITIONS:
@@ -145,11 +136,9 @@ def of_share(
     """Verdict on a share that stays `below` its limit, or does not.
 
     1. Fewer than three repetitions: depends on the repetitions.
-
     2. The whole interval is on one side of the limit: reproduced, or not reproduced; but depends on
     the budget if the share is below and the runs were cut while the error still fell, which can
     only raise it.
-
     3. The interval contains the limit: depends on the repetitions.
     """
     if repetitions < LEAST_REPETITIONS:
