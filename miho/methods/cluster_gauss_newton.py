@@ -81,35 +81,36 @@ class ClusterGaussNewton(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Move one cluster after the other."""
-        look = _Residuals(oracle)
         common: Array | None = oracle.space.decode(oracle.space.initial(1))[0]
         for _ in count() if self.rounds is None else range(self.rounds):
-            X, Y = self._first(look, rng, common)
+            X, Y = self._first(oracle, rng, common)
             common = None
             if len(X):
-                self._move(look, X, Y)
+                self._move(oracle, X, Y)
 
     def _first(
-        self, look: _Residuals, rng: np.random.Generator, common: Array | None
+        self, oracle: Oracle, rng: np.random.Generator, common: Array | None
     ) -> tuple[Array, Array]:
         """Points (N, d) with usable residuals (N, m); empty if no draw of N has any."""
+        box = UnitBox(oracle.space)
         X: list[Array] = []
         Y: list[Array] = []
         while len(X) < self.N:
-            for x in rng.random((self.N - len(X), len(look.space))):
-                theta = look.box.theta(x)
+            for x in rng.random((self.N - len(X), len(oracle.space))):
+                theta = box.theta(x)
                 if common is not None:
                     theta, common = common, None
-                residuals = look(theta)
+                residuals = _residuals(oracle, theta)
                 if residuals is not None:
-                    X.append(look.box.x(theta))
+                    X.append(box.x(theta))
                     Y.append(residuals)
             if not X:
                 break
         return np.array(X), np.array(Y)
 
-    def _move(self, look: _Residuals, X: Array, Y: Array) -> None:
+    def _move(self, oracle: Oracle, X: Array, Y: Array) -> None:
         """The main iteration from the cluster X (N, d) with residuals Y (N, m)."""
+        box = UnitBox(oracle.space)
         squares = np.einsum("nm,nm->n", Y, Y)
         first = self.damping * float(np.median(squares))
         damping = np.full(self.N, first)
@@ -120,7 +121,7 @@ class ClusterGaussNewton(Optimizer):
             steps = cluster_steps(X, Y, damping, self.gamma, moving)
             for i, step in zip(moving, steps, strict=True):
                 x = X[i] + within(X[i], step)
-                residuals = look(look.box.theta(x))
+                residuals = _residuals(oracle, box.theta(x))
                 if residuals is not None and residuals @ residuals < squares[i]:
                     X[i], Y[i], squares[i] = x, residuals, residuals @ residuals
                     damping[i] /= 10
@@ -128,20 +129,13 @@ class ClusterGaussNewton(Optimizer):
                     damping[i] *= 10
 
 
-class _Residuals:
+def _residuals(oracle: Oracle, theta: Array) -> Array | None:
     """Residuals (m,) at parameters (d,); None if they are not usable."""
-
-    def __init__(self, oracle: Oracle) -> None:
-        self.space = oracle.space
-        self.box = UnitBox(oracle.space)
-        self._oracle = oracle
-
-    def __call__(self, theta: Array) -> Array | None:
-        try:
-            residuals = self._oracle.residuals(theta)
-        except UnusableValueError:
-            return None
-        return residuals if np.isfinite(residuals @ residuals) else None
+    try:
+        residuals = oracle.residuals(theta)
+    except UnusableValueError:
+        return None
+    return residuals if np.isfinite(residuals @ residuals) else None
 
 
 def cluster_steps(

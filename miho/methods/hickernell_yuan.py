@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
@@ -18,7 +18,7 @@ from miho.methods.descent import (
     local_search,
 )
 from miho.methods.unit_box import Sobol, UnitBox
-from miho.optim import Optimizer, Oracle
+from miho.optim import Optimizer, Oracle, Space
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.trace import Descent
 from miho.quantities import Array
@@ -122,7 +122,7 @@ class HickernellYuan(Optimizer):
         """Sample, concentrate and search until enough points were no better; `rounds` times."""
         common: Array | None = oracle.space.decode(oracle.space.initial(1))[0]
         for _ in count() if self.rounds is None else range(self.rounds):
-            sample = _Sample(oracle, rng, self.N, common)
+            sample = _Sample(oracle.space, rng, self.N, common)
             common = None
             for _ in range(self.major):
                 self._iterate(oracle, sample)
@@ -205,45 +205,33 @@ def _independent(columns: Array) -> bool:
     return bool(smallest > columns.shape[1] * SMALLEST_TOLERANCE)
 
 
-@dataclass
 class _Sample:
     """N points `thetas` (N, d) and their `losses`, with the best and the counts so far.
 
-    `retained` (N,) counts the major iterations with a point among the q best.
+    `retained` (N,) counts the major iterations with a point among the q best. The first point is
+    the `common` one, unless it is None.
     """
 
-    oracle: Oracle
-    rng: np.random.Generator
-    N: int
-    common: Array | None
-    stationary: int = 0
-    worse: int = 0
-    best_loss: float = math.inf
-    best: Array = field(init=False)
-    power: Array = field(init=False)
-    thetas: Array = field(init=False)
-    losses: Array = field(init=False)
-    retained: NDArray[np.int64] = field(init=False)
-
-    def __post_init__(self) -> None:
-        d = len(self.oracle.space)
-        self._sobol = Sobol(d, self.rng)
-        self.thetas = np.empty((self.N, d))
-        self.losses = np.full(self.N, math.inf)
-        self.retained = np.zeros(self.N, np.int64)
-        self.power = np.full(d, CENTRED)
-        self.best = np.empty(d)
+    def __init__(
+        self, space: Space, rng: np.random.Generator, N: int, common: Array | None
+    ) -> None:
+        d = len(space)
+        self._space, self._sobol, self._common = space, Sobol(d, rng), common
+        self.thetas, self.losses = np.empty((N, d)), np.full(N, math.inf)
+        self.retained: NDArray[np.int64] = np.zeros(N, np.int64)
+        self.stationary = self.worse = 0
+        self.best, self.best_loss, self.power = np.empty(d), math.inf, np.full(d, CENTRED)
 
     def fill(self) -> None:
         """Replace each point that is not retained by a new draw."""
-        space = self.oracle.space
+        space = self._space
         low, high = space.bounds
         new = np.flatnonzero(self.retained == 0)
         coordinates = low + (high - low) * self._sobol.points(len(new))
         coordinates = towards_zero(coordinates, low, high, self.power)
         self.thetas[new] = space.clip(space.decode(coordinates))
-        if self.common is not None:
-            self.thetas[0], self.common = self.common, None
+        if self._common is not None:
+            self.thetas[0], self._common = self._common, None
 
     def retain(self, q: int, s: int) -> list[int]:
         """Retain the q best; return and release the points retained for the s-th time."""

@@ -5,7 +5,6 @@ Methods, intervals and checks see a model with fewer parameters and need no spec
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +17,6 @@ from miho.models.formula_parser import formula_from
 from miho.models.formula_text import written
 from miho.models.model import Model, Wrapper
 from miho.models.symbolic import (
-    NotAFormulaError,
     Symbol,
     argument,
     arguments_of,
@@ -27,7 +25,7 @@ from miho.models.symbolic import (
     operation,
     trace,
 )
-from miho.models.traced import Remade, TracedExpression
+from miho.models.traced import Remade, TracedExpression, is_formula
 from miho.quantities import Array
 from miho.radial_map import RadialMap
 
@@ -220,10 +218,9 @@ class Ties(Remade):
 def tie(model: Model, ties: Ties) -> Model:
     """Return the model of the free parameters, as an expression if possible."""
     if isinstance(model, Expression) and ties.radial is None:
-        tied = TiedExpression(model, ties)
-        with contextlib.suppress(NotAFormulaError):
-            _ = tied.graph
-            return tied
+        expression = TiedExpression(model, ties)
+        if is_formula(expression):
+            return expression
     return TiedModel(model, ties)
 
 

@@ -38,7 +38,7 @@ class Remade:
 def is_formula(model: Expression) -> bool:
     """Return whether the value of a model has a formula."""
     try:
-        _ = model.value
+        _ = model.graph if isinstance(model, TracedExpression) else model.value
     except NotAFormulaError:
         return False
     return True

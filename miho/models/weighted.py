@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +11,8 @@ import numpy as np
 
 from miho.models.expression import Expression
 from miho.models.model import Model, Wrapper
-from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
-from miho.models.traced import TracedExpression
+from miho.models.symbolic import Symbol, operation, trace
+from miho.models.traced import TracedExpression, is_formula
 from miho.quantities import Array
 
 WEIGHT = "weight of the row"
@@ -22,11 +21,8 @@ WEIGHT = "weight of the row"
 
 def weighted(model: Model) -> Model:
     """Return the model with its output multiplied by a last input, the weight."""
-    if isinstance(model, Expression):
-        expression = WeightedExpression(model)
-        with contextlib.suppress(NotAFormulaError):
-            _ = expression.graph
-            return expression
+    if isinstance(model, Expression) and is_formula(expression := WeightedExpression(model)):
+        return expression
     return WeightedModel(model)
 
 
