@@ -251,7 +251,7 @@ class _Registers:
         code = [*self._rows([k for k in rows if nodes.nodes[k][0] != SECOND])]
         for i, k in enumerate(self.results):
             if self.slots.get(k) != self.inputs + i:
-                code.append(Instruction("COPY", (self._held(k),), (self.inputs + i,)))
+                code.append(Instruction("COPY", (self._register_of(k),), (self.inputs + i,)))
         fills = tuple((register, self.scalars[k]) for k, register in self.fills.items())
         return Tape(
             self.inputs, len(self.results), self.top, self.parameters, self.count, self.constants,
@@ -263,12 +263,12 @@ class _Registers:
         for k in self.needed:
             if not self.nodes.uniform[k] or k in self.scalars:
                 continue
-            name, made = self._operation(k)
-            for node in made:
+            name, outputs = self._operation(k)
+            for node in outputs:
                 self.scalars[node] = self.count
                 self.count += 1
             operands = tuple(self.scalars[j] for j in self.nodes.operands(k))
-            yield Instruction(name, operands, tuple(self.scalars[j] for j in made))
+            yield Instruction(name, operands, tuple(self.scalars[j] for j in outputs))
 
     def _rows(self, order: Sequence[int]) -> Iterator[Instruction]:
         """Yield the instructions that are evaluated for each row."""
@@ -276,15 +276,15 @@ class _Registers:
         for i, k in enumerate(order):
             last |= dict.fromkeys(self.nodes.operands(k), i)
         for i, k in enumerate(order):
-            name, made = self._operation(k)
+            name, outputs = self._operation(k)
             read = self.nodes.operands(k)
             operation, operands = self._read(name, read)
             done = [j for j in dict.fromkeys(read) if last[j] == i and not self.nodes.uniform[j]]
-            if len(made) == 1:  # a single result may overwrite an operand
+            if len(outputs) == 1:  # a single result may overwrite an operand
                 self._release(done)
-            places = tuple(map(self._placed, made))
-            if len(made) > 1:
-                self._release(done + [j for j in made if j not in last])
+            places = tuple(map(self._placed, outputs))
+            if len(outputs) > 1:
+                self._release(done + [j for j in outputs if j not in last])
             yield Instruction(operation, operands, places)
 
     def _operation(self, k: int) -> tuple[str, list[int]]:
@@ -305,12 +305,12 @@ class _Registers:
         """Return an operation and its operands, in the form with a scalar if there is one."""
         uniform = [self.nodes.uniform[j] for j in read]
         if name not in WITH_SCALAR or not any(uniform):
-            return name, tuple(map(self._held, read))
+            return name, tuple(map(self._register_of, read))
         row, scalar = (read[0], read[1]) if uniform[1] else (read[1], read[0])
         form = f"{name}_S" if uniform[1] or name in EITHER_WAY else f"S_{name}"
         return form, (self.at[row], self.scalars[scalar])
 
-    def _held(self, k: int) -> int:
+    def _register_of(self, k: int) -> int:
         """Return the register of a node, filled from its scalar if necessary."""
         if not self.nodes.uniform[k]:
             return self.at[k]

@@ -186,8 +186,8 @@ def _simplified(
         inner: Symbol = symbols[0].arguments[0]
         return inner
     if name in ("logical_and", "logical_or") and (numbers[0], numbers[1]) != (None, None):
-        held, other = symbols if numbers[0] is not None else symbols[::-1]
-        return other if held.number == (name == "logical_and") else held
+        known, other = symbols if numbers[0] is not None else symbols[::-1]
+        return other if known.number == (name == "logical_and") else known
     if name == "where" and (numbers[0] is not None or symbols[1] is symbols[2]):
         return symbols[1] if numbers[0] else symbols[2]
     if name == "where" and numbers[1] is not None and numbers[1] == numbers[2]:

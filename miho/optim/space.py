@@ -101,7 +101,7 @@ class Parameter:
         if self.prior is not None:
             self._check_prior(label)
         if not self.free:
-            self._check_held(label)
+            self._check_not_free(label)
             return
         if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise ValueError(
@@ -150,7 +150,7 @@ class Parameter:
             )
         object.__setattr__(self, "prior", (mean, std))
 
-    def _check_held(self, label: str) -> None:
+    def _check_not_free(self, label: str) -> None:
         if self.fixed is not None and self.tied is not None:
             raise ValueError(
                 f"{label}: is fixed to {self.fixed!r} and tied to {self.tied!r}; choose one"

@@ -28,12 +28,12 @@ def across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
     totals, counts = _integral(total.astype(float)), _integral(count)
     windows = []
     for height, width in BOXES:
-        held = _boxes(counts, height, width)
-        full = held >= FEWEST_IN_BOX
+        inside = _boxes(counts, height, width)
+        full = inside >= FEWEST_IN_BOX
         if full.any():
             sums = np.abs(_boxes(totals, height, width)[full])
             places = min(4 * CELLS**2 / (height * width), full.sum())
-            windows.append(of_windows(float((sums / np.sqrt(held[full])).max()), places))
+            windows.append(of_windows(float((sums / np.sqrt(inside[full])).max()), places))
     # Plane waves of up to as many periods as there are rows along each side of a square, by steps
     # of half a period.
     most = min(CELLS, int(2 * math.sqrt(N)))
