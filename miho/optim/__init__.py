@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from miho.optim.minimize import Checkpoint, Outcome, RunRecord
     from miho.optim.optimizer import Optimizer, Resumable
     from miho.optim.oracle import Oracle
-    from miho.optim.problem import LeastSquaresProblem, Problem
+    from miho.optim.problem import LeastSquaresProblem, Problem, Traits
     from miho.optim.random_search import RandomSearch
     from miho.optim.schedule import Rung, hyperband_table
     from miho.optim.space import Parameter, Space
@@ -60,6 +60,7 @@ __all__ = [
     "Space",
     "Starts",
     "Trace",
+    "Traits",
     "UnusableValueError",
     "agreement",
     "hyperband_table",

@@ -171,9 +171,14 @@ def least_squares(problem: Problem) -> LeastSquaresProblem:
 
 
 class Traits:
-    """Properties of a problem that methods may use, and the cost of an evaluation.
+    """Properties of a problem that methods may use, `Oracle.traits`.
 
     `linear`, `order` and `jacobian_cost` raise TypeError if the problem has no residuals.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
     """
 
     def __init__(self, problem: Problem) -> None:
