@@ -100,7 +100,20 @@ def draw_comparison(
     print("\n".join(texts))
     if advice := clock_of(runs).advice(" ".join(comparison.command)):
         print(advice, file=sys.stderr)
+    for method in stuck(curves):
+        print(
+            f"{method}: no run improved its first error by 1 %; its settings may not suit this "
+            f"problem: python -m experiments.identify optimizer={method} --help",
+            file=sys.stderr,
+        )
     return [*paths, *table_paths, write_origin(comparison, output)]
+
+
+def stuck(curves: pd.DataFrame) -> list[str]:
+    """Methods of which no run has improved the error of its first configuration by 1 %."""
+    ends = curves.groupby(["optimizer", "id"])["error"].agg(["first", "last"])
+    moved = ends["last"] < 0.99 * ends["first"]
+    return [str(method) for method, any_run in moved.groupby(level=0).any().items() if not any_run]
 
 
 def compared(

@@ -13,13 +13,14 @@ from experiments import figures
 from experiments.app.arguments import as_options, root_folder
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
-from experiments.app.drawing import compared
+from experiments.app.drawing import compared, stuck
 from experiments.app.execution import execution_of
 from experiments.app.schema import register
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store
 from miho.study.manifest import sweep_overrides, write_manifest
 from miho.testing import DecayFit
+from tests.analysis.synthetic import frames
 
 register()
 TIRE = ("dataset=tire_lf", "dataset.n=60", "budget.evaluations=60")
@@ -62,6 +63,11 @@ def test_fig6_of_a_root_that_no_comparison_made(
     assert "random" not in (elsewhere / "results.csv").read_text()
     assert draw(monkeypatch, f"root={root}", "methods=random,gone") == 2
     assert "no runs of gone; expected paper or some of miho, random" in capsys.readouterr().err
+
+
+def test_a_method_that_stays_at_its_start_is_named() -> None:
+    steps = {"miho": [[(1.0, 900.0), (9.0, 400.0)]], "gbo_large": [[(1.0, 900.0), (2.0, 899.0)]]}
+    assert stuck(frames(steps)[1]) == ["gbo_large"]
 
 
 def commit(root: Path, optimizer: str, problem: str = "decay") -> None:
