@@ -171,7 +171,8 @@ def draw(
     from miho.analysis.compare.comparison import write_comparison
 
     root, output = Path(cfg.root), Path(cfg.comparison.output)
-    command = ["python", "-m", "experiments.compare", *map(shlex.quote, overrides)]
+    multirun = [word for word in sys.argv[1:] if word in ("-m", "--multirun")]
+    command = ["python", "-m", "experiments.compare", *multirun, *map(shlex.quote, overrides)]
     ids = [request.identity.id for request in plan]
     write_comparison(root, command, note, ids)
     if cfg.comparison.problems:
