@@ -12,6 +12,7 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline
+from miho.identification.line_wrapping import with_unit
 from miho.identification.refit import Refit, refit
 from miho.identification.stated import reported_space, reported_uncertainty
 from miho.identification.uncertainty import AT_BOUND, Linearised, linearised
@@ -192,6 +193,8 @@ def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]
     """
     if len(optima) < 2:
         return []
+    from miho.identification.derived import derived
+
     values, errors = _compared(problem, optima)
     space = reported_space(problem.space)
     parameters = space.names
@@ -210,15 +213,16 @@ def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]
         "including values between them that may not fit; standard errors hold for the first "
         "optimum only."
     ]
+    units = {quantity.name: quantity.unit for quantity in derived(problem.model, problem.dataset)}
     shared = [
-        f"{name} = {_listed(values[name])} ± {errors[name]:.2g}"
+        f"{name}: {with_unit(f'{_listed(values[name])} ± {errors[name]:.2g}', units[name])}"
         for name in values
         if name not in parameters and name not in several and 0 < errors[name] < np.inf
     ]
     shared = shared or _shared_product(problem, optima, several)
     if shared:
         sentences.append(
-            f"the optima agree within a standard error on {', '.join(shared)}. Trust this more "
+            f"the optima agree within a standard error on {'; '.join(shared)}. Trust this more "
             "than the single parameters."
         )
     return sentences

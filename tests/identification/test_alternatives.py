@@ -198,7 +198,7 @@ def test_a_declared_quantity_that_optima_share_is_named() -> None:
     at = linearised(fit, theta)
     other = replace(at, theta=theta * [0.5, 2, 1, 1, 1])  # as an optimum with the same B C D
     (_, shared) = several_values(fit, [at, other])
-    assert "cornering stiffness B C D (Eq. 14) = -1.5" in shared
+    assert "cornering stiffness B C D (Eq. 14): -1.5e+04 ± 3.6e+02 N/rad" in shared
 
 
 def test_a_parameter_that_the_data_determine_nowhere_has_no_several_values() -> None:
