@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import EVENT, alike_beside_priors, widening
-from miho.identification.robust_loss import Cauchy, Huber
 from miho.identification.uncertainty import parameters_at_bounds
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -41,8 +40,6 @@ SURPRISING = 5e-4
 on either side."""
 CHANCE = 0.01
 """Uneven spread is mentioned if chance produces it with at most this probability."""
-OUTLIERS = 0.7
-"""The scale of a robust loss is too small if it treats this fraction of the rows as outliers."""
 NEAR_OPTIMUM = 0.1
 """A run has found the optimum if it stopped within this many standard errors of it."""
 NOTICEABLE = 1e-4
@@ -333,22 +330,6 @@ def followed(problem: CurveFit, trends: pd.DataFrame) -> list[str]:
                 "model with that input can remove it."
             )
     return sentences
-
-
-def outliers(problem: CurveFit, at: Linearised) -> list[str]:
-    """A sentence if a robust loss treats most rows as outliers."""
-    rho = problem.rho
-    if not isinstance(rho, Huber | Cauchy):
-        return []
-    errors = np.abs(problem.errors(at.theta))
-    if np.mean(errors > rho.scale) < OUTLIERS:
-        return []
-    usual = 1.345 * float(np.median(errors)) / 0.6745
-    return [
-        f"{100 * np.mean(errors > rho.scale):.0f} % of the errors exceed the scale of the loss, so "
-        f"the standard errors are unreliable: choose a larger scale, for example {usual:.2g} "
-        f"{problem.unit}."
-    ]
 
 
 def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[str]:

@@ -12,6 +12,7 @@ from miho.identification import flags
 from miho.identification.alternatives import several_values
 from miho.identification.derived import is_held
 from miho.identification.line_wrapping import with_unit, wrapped
+from miho.identification.outliers import outliers, too_small_scale
 from miho.identification.parameters_file import KINDS, interval_kind
 from miho.identification.prior import prior_notes
 from miho.identification.report import rounding_of
@@ -125,7 +126,10 @@ def _on_data_and_model(report: Report) -> list[str]:
     sentences += prior_notes(report.priors)
     sentences += [f"{text}." for text in at_limits(problem, report.at.theta)]
     sentences += flags.independence(problem, at)
-    sentences += flags.outliers(problem, report.at)
+    sentences += too_small_scale(problem, report.at)
+    followed = flags.followed(problem, report.trends)
+    if not (followed or report.uneven or at.dependence is not None):
+        sentences += outliers(problem, report.at)
     # Model: are its errors larger than the noise, or do they follow a column?
     sentences += problem.model.remarks(report.at.theta, report.at.noise, *problem.inputs)
     irreducible = report.irreducible
@@ -134,4 +138,4 @@ def _on_data_and_model(report: Report) -> list[str]:
             f"the error is {report.error / irreducible.value:.1f} times the irreducible error: "
             "check units, signs, ranges and the model."
         )
-    return sentences + flags.followed(problem, report.trends)
+    return sentences + followed
