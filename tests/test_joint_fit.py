@@ -49,6 +49,7 @@ def test_lines_with_a_slope_in_common_are_one_regression() -> None:
     covariance = np.linalg.inv((X * w[:, None]).T @ (X * w[:, None]))
     expected = covariance @ (X * w[:, None]).T @ (np.append(y, z) * w)
     assert list(fit.values) == ["a_left", "b", "a_right"]
+    assert miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9)}, local="a").values == fit.values
     assert list(fit.values.values()) == pytest.approx(expected, rel=1e-6)
     errors = fit.parameters["standard_error"].tolist()
     assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
@@ -205,7 +206,7 @@ def test_parts_of_one_formula_are_one_formula() -> None:
     assert model.linear == by_part.linear == ("a_A", "a_B")
     assert series_of(problem) == [slice(0, 30), slice(30, 50)]
     other = miho.fit_joint(
-        {"A": (decay, t, y), "B": (line, t, z)}, {"a": (0, 9), "b": (-9, 9)}, local="ab"
+        {"A": (decay, t, y), "B": (line, t, z)}, {"a": (0, 9), "b": (-9, 9)}, local=["a", "b"]
     )
     assert not isinstance(other.problem.model, TracedExpression)
 
@@ -281,6 +282,7 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
     ("parts", "keywords", "message"),
     [
         ({"one": (decay, t, t)}, {}, "parts: expected at least two, got 1"),
+        ([(decay, t, t)] * 2, {}, "parts are a list; give them by name"),
         (
             {"A": (decay, t, t, 1.0), "B": (decay, t, t, -1)},
             {},

@@ -51,7 +51,7 @@ def fit_joint(
     parts: Mapping[str, Part | tuple[Any, ...]],
     space: Space | Mapping[str, Any],
     *,
-    local: Collection[str] = (),
+    local: str | Collection[str] = (),
     missing: Literal["raise", "drop"] = "raise",
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
@@ -76,7 +76,7 @@ def fit_joint(
         from the residuals of its part, in turn with the parameters [1]_.
     space : Space or mapping of str
         Bounds of all parameters by name, as in `miho.fit`.
-    local : collection of str, optional
+    local : str or collection of str, optional
         Parameters with a separate value in each part. The value of parameter NAME in part PART has
         the name NAME_PART, and its bounds are the bounds of NAME unless NAME_PART has bounds.
     missing, fixed, tied, constraints, method, budget, seed, compiled : optional
@@ -113,13 +113,15 @@ def fit_joint(
     >>> {name: round(value, 6) for name, value in fit.values.items()}
     {'a_low': 1.0, 'b': 2.0, 'a_high': 3.0}
     """
+    if not isinstance(parts, Mapping):
+        raise ValueError(f"parts are a {type(parts).__name__}; give them by name: {{'left': ...}}")
     measured = {}
     for name, (model, x, y, *sigma) in parts.items():
         dataset, chosen, deviation = data_of(
             model, x, y, sigma[0] if sigma else None, missing=missing
         )
         measured[name] = Measured(chosen, dataset, deviation)
-    joint = Joint(measured, local)
+    joint = Joint(measured, [local] if isinstance(local, str) else local)
     bounds = joint.space(space, fixed, tied, constraints)
     plain = bounds.without_priors if joint.lacking else bounds  # priors need sigma
     problem = as_begun(
