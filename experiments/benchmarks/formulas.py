@@ -2,13 +2,12 @@
 
 python -m experiments.benchmarks.formulas [--quick] [--output FOLDER]
 
-The tire with and without curvature, the 27 coefficients of MF 6.1's lateral force, a power with a
-choice, and the published formulas, at 3,000 rows (and the first ones at 300 and 30,000). The
-machine runs on each level of instructions that the processor has: one tape of value and derivatives
-as in `miho.fit_many`, or two tapes as in the steps of `miho.fit`, which needs derivatives less
-often. NumPy evaluates the formula as written, once for values and once for derivatives. "ready" is
-the cost of a new formula before its first evaluation: tracing of value and derivatives, and
-compilation of both tapes.
+The tire, the 27 coefficients of MF 6.1's lateral force, and the published formulas, at 3,000 rows.
+The machine runs on each level of instructions that the processor has: one tape of value and
+derivatives as in `miho.fit_many`, or two tapes as in the steps of `miho.fit`, which needs
+derivatives less often. NumPy evaluates the formula as written, once for values and once for
+derivatives. "ready" is the cost of a new formula before its first evaluation: tracing of value and
+derivatives, and compilation of both tapes.
 """
 
 from __future__ import annotations
@@ -35,14 +34,13 @@ from experiments.benchmarks.bars import (
 from miho.core import Tape, machine
 from miho.models.expression import Expression
 from miho.models.formula_tape import traced_tapes, traced_together
-from miho.models.function_model import FunctionModel
 from miho.quantities import Array
 from miho.vehicle.data import embedded_tire
-from miho.vehicle.models import Pacejka, PacejkaCurvature, load_tir
+from miho.vehicle.models import Pacejka, load_tir
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.tire_formula import TireFormula
 
-ROWS, MORE_ROWS = 3000, (300, 30_000)
+ROWS = 3000
 REPEATS, ATOM = 40, 1e-3
 """Turns of each job, and seconds of a turn: less than a time slice of a busy processor."""
 MAGIC, PUBLISHED = "MF 6.1 lateral", "published"
@@ -61,10 +59,11 @@ class Case:
     inputs: tuple[tuple[float, float], ...]
     thetas: tuple[tuple[float, float], ...]
 
-    def at(self, rows: int) -> tuple[Array, Array]:
-        """Columns (p, rows) and parameters (d,)."""
+    @property
+    def at(self) -> tuple[Array, Array]:
+        """Columns (p, ROWS) and parameters (d,)."""
         rng = np.random.default_rng(0)
-        X = np.array([rng.uniform(low, high, rows) for low, high in self.inputs])
+        X = np.array([rng.uniform(low, high, ROWS) for low, high in self.inputs])
         return X, np.array([rng.uniform(low, high) for low, high in self.thetas])
 
     @cached_property
@@ -80,19 +79,10 @@ class Case:
         return cast(Tape, traced_together(model.value, model.derivatives, p, d))
 
 
-def power_with_choice(x: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """A power up to a knee, then a line."""
-    return np.where(x < c, a * x**b, a * c**b + d * (x - c))
-
-
 def cases() -> Iterator[Case]:
-    """All formulas; the formulas measured at several sizes come first."""
+    """All formulas."""
     tire = (2.0, 20.0), (1.0, 2.0), (2e3, 5e3), (-0.02, 0.02), (-100.0, 100.0)
     yield Case(TIRE, Pacejka(), ((-0.25, 0.25),), tire)
-    bent = (*tire[:3], (-2.0, 0.5), *tire[3:])
-    yield Case("tire with curvature", PacejkaCurvature(), ((-0.25, 0.25),), bent)
-    formula = cast(Expression, FunctionModel(power_with_choice, columns=("x",)).formula)
-    yield Case("power and choice", formula, ((0.1, 3.0),), ((0.5, 2.0),) * 4)
     base = load_tir(embedded_tire("lf"))
     magic = TireFormula(base, tuple(COEFFICIENTS), "Fy", ("alpha", "Fz", "gamma", "pressure"))
     inputs = (-0.2, 0.2), (1e3, 6e3), (-0.05, 0.05), (1.5e5, 2.5e5)
@@ -124,24 +114,24 @@ def by_numpy(model: Expression, theta: Array, X: Array) -> None:
     model.jacobian(theta, *X)
 
 
-def measured(case: Case, rows: int, repeats: int) -> dict[str, Any]:
+def measured(case: Case, repeats: int) -> dict[str, Any]:
     """One row of the table."""
-    X, theta = case.at(rows)
+    X, theta = case.at
     d, p = theta.size, len(X)
     started = perf_counter()
     traced_tapes(case.model.value, case.model.derivatives, p, d)
-    row: dict[str, Any] = {"formula": case.name, "rows": rows}
+    row: dict[str, Any] = {"formula": case.name}
     row["ready [ms]"] = 1e3 * (perf_counter() - started)
     row["instructions"] = sum(len(tape.code) for tape in case.tapes)
     jobs: dict[str, Callable[[], object]] = {"NumPy": partial(by_numpy, case.model, theta, X)}
-    out = np.empty((1, 1, rows)), np.empty((1, d, rows))
-    everything = np.empty((1, d + 1, rows))
+    out = np.empty((1, 1, ROWS)), np.empty((1, d, ROWS))
+    everything = np.empty((1, d + 1, ROWS))
     for level, name in enumerate(machine().levels()):
         together, separate = case.together.at_level(level), [t.at_level(level) for t in case.tapes]
         jobs[name] = partial(machine().evaluate, together, theta[None], X, everything)
         jobs[two_tapes(name)] = partial(both, machine().evaluate, separate, theta[None], X, *out)
     seconds = interleaved(jobs, repeats, ATOM)
-    return row | {name: 1e9 * value / rows for name, value in seconds.items()}
+    return row | {name: 1e9 * value / ROWS for name, value in seconds.items()}
 
 
 def measure(quick: bool) -> Measured:
@@ -149,14 +139,12 @@ def measure(quick: bool) -> Measured:
     if machine() is None:
         raise ValueError("the machine of miho.core was not built; install with a C compiler")
     repeats, levels = (10 if quick else REPEATS), machine().levels()
-    chosen = list(cases())[:: 4 if quick else 1]
-    planned = [(case, rows) for case in chosen for rows in (ROWS, *MORE_ROWS)
-               if rows == ROWS or PUBLISHED not in case.name]  # fmt: skip
-    table = pd.DataFrame([*shown(measured(*each, repeats) for each in planned)])
+    chosen = list(cases())[: 6 if quick else None]
+    table = pd.DataFrame([*shown(measured(case, repeats) for case in chosen)])
     gain = table["NumPy"] / table[two_tapes(levels[-1])]
     published = gain[table["formula"].str.startswith(PUBLISHED)]
     magic = table["formula"] == MAGIC
-    tire = table[(table["formula"] == TIRE) & (table["rows"] == ROWS)]
+    tire = table[table["formula"] == TIRE]
     bars = [
         *(Bar(f"{TIRE} by {level}, a row", tire[level].min(), AT_MOST, most, "ns")
           for level, most in TIRE_COST.items() if level in levels),
