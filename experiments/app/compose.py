@@ -20,8 +20,8 @@ from experiments.app.explain import (
     composition_message,
     replace_spaces,
 )
+from experiments.app.options import CONF as CONF
 
-CONF = Path(__file__).parents[2] / "conf"
 VERSION_BASE = "1.3"
 PLUGINS = Path(__file__).parents[1] / "plugins"
 """Folder of our plugins: Hydra finds them in packages `hydra_plugins` on the path of Python."""

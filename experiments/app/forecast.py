@@ -13,6 +13,7 @@ from miho.identification import CurveFit
 from miho.models.function_model import FunctionModel
 from miho.models.model import ExternalModel, expensive_leaves
 from miho.optim import Budget
+from miho.parallel.worth import span
 from miho.study import Store
 
 LONG = 60.0
@@ -58,7 +59,7 @@ def forecast(seconds: float, budget: Budget, rows: int, dataset: Mapping[str, An
     The run time is an upper limit without the computations of the method; a run that converges may
     take far less.
     """
-    cost = f"{rows:,} rows, {_short(seconds)} an evaluation"
+    cost = f"{rows:,} rows, {span(seconds)} an evaluation"
     if budget.evaluations is None:
         if budget.seconds is None:
             return f"{cost}; no budget"
@@ -66,7 +67,7 @@ def forecast(seconds: float, budget: Budget, rows: int, dataset: Mapping[str, An
             f"{cost}: at most {budget.seconds / seconds:,.0f} in the {budget.seconds:g} s allowed"
         )
     whole = budget.evaluations * seconds
-    text = f"{cost}: at most {_short(whole)} for the {budget.evaluations:,} allowed"
+    text = f"{cost}: at most {span(whole)} for the {budget.evaluations:,} allowed"
     limit = budget.seconds
     if limit is not None and whole > limit:
         text += f", but budget.seconds={limit:g} ends it after some {limit / seconds:,.0f}"
@@ -75,10 +76,3 @@ def forecast(seconds: float, budget: Budget, rows: int, dataset: Mapping[str, An
         which += ["'dataset.where={COLUMN: [FROM, TO]}'"] if "where" in dataset else []
         text += f"; fewer rows are faster: {' or '.join(which)}" if which else ""
     return text
-
-
-def _short(seconds: float) -> str:
-    for factor, unit in ((1.0, "s"), (1e-3, "ms")):
-        if seconds >= factor:
-            return f"{seconds / factor:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} µs"

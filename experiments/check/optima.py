@@ -19,14 +19,13 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import scipy.optimize
 from tqdm import tqdm
 
 from experiments.app.build import build
-from experiments.app.compose import composed
+from experiments.app.compose import CONF, composed
 from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
@@ -34,7 +33,6 @@ from miho.optim.seeds import stream
 from miho.quantities import Array
 from miho.study import single_thread
 
-PROBLEMS = Path(__file__).parents[2] / "conf" / "problem"
 WORKERS = 2
 CHUNK = 10
 """Starting points per task of a worker."""
@@ -235,7 +233,7 @@ def verdict(optimum: Optimum, recorded: float | None) -> str:
 
 def main() -> None:
     """Find the optima, print them and compare them with the recorded ones."""
-    names = sorted(path.stem for path in PROBLEMS.glob("*.yaml"))
+    names = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
     parser = argparse.ArgumentParser(description="Best known optima of the problems.")
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=", ".join(names))
     parser.add_argument("--starts", type=int, default=1000)

@@ -125,8 +125,13 @@ def resolution_of(fit: PublishedFit) -> float:
     J = model.jacobian(theta, *(fit.dataset[name] for name in model.inputs))
     _, sizes, directions = np.linalg.svd(J * theta / math.sqrt(len(J)), full_matrices=False)
     worst = float(np.sqrt(((directions.T / sizes) ** 2).sum(axis=1)).max())
-    unit = 10.0 ** math.floor(math.log10(DIGITS / worst))
-    return float(f"{math.floor(DIGITS / worst / unit) * unit:.0e}")
+    return rounded_down(DIGITS / worst)
+
+
+def rounded_down(value: float) -> float:
+    """A positive value, rounded down to one digit."""
+    unit = 10.0 ** math.floor(math.log10(value))
+    return float(f"{math.floor(value / unit) * unit:.0e}")
 
 
 def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:

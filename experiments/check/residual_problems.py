@@ -33,6 +33,7 @@ from experiments.check.published_problems import (
     number,
     optimum_of,
     problem_yaml,
+    rounded_down,
     write,
 )
 from miho.quantities import Array
@@ -158,9 +159,8 @@ class Posed:
     @property
     def resolution(self) -> float:
         """Error below which an optimum is zero, from the near starting point, to one digit."""
-        error = ARRIVED * math.sqrt(np.mean(self.residuals(self.start / self.factor) ** 2))
-        unit = 10.0 ** math.floor(math.log10(error))
-        return float(f"{math.floor(error / unit) * unit:.0e}")
+        residuals = self.residuals(self.start / self.factor)
+        return rounded_down(ARRIVED * math.sqrt(np.mean(residuals**2)))
 
 
 def problems() -> Iterator[Posed]:

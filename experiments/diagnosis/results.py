@@ -26,13 +26,13 @@ from miho.study.files import (
     decoded,
     read_bytes,
 )
-from miho.study.manifest import missing_runs
+from miho.study.manifest import first_names, missing_runs
 from miho.study.places import below
 
 QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")
 """Name of a file that `write_text` has not completed: .NAME.PID."""
-LOCK, LISTED = "lock", 3
+LOCK = "lock"
 IN_WORDS = {
     "processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD",
     "formulas": "machines of formulas",
@@ -206,8 +206,6 @@ def _alive(process: int) -> bool:
     return True
 
 
-def _some(things: Sequence[object] | set[Path]) -> str:
+def _some(things: Iterable[object]) -> str:
     """Text with the first few things, and the number of further ones."""
-    names = sorted(map(str, things))
-    more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
-    return ", ".join(names[:LISTED]) + more
+    return first_names(sorted(map(str, things)))
