@@ -14,10 +14,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.explain import ConfigError as ConfigError
 from experiments.app.explain import unknown_message
-from experiments.app.instantiation import MISSING, instantiate, part_of, without_secret
+from experiments.app.instantiation import MISSING, instantiate, part_of
 from experiments.app.origin import code_of, packages_of
 from experiments.app.parts import model_files, part_nodes, with_local
-from experiments.app.safety import check_root
+from experiments.app.safety import check_no_secret, check_root
 from experiments.app.schema import Config
 from miho.data import Dataset
 from miho.fitting.joint_problem import SIGMA as DEVIATION
@@ -247,7 +247,7 @@ def _joint(config: Mapping[str, Any]) -> Joint:
     parts = {}
     for name, nodes in part_nodes(config).items():
         for key, node in nodes.items():
-            without_secret(node, key)
+            check_no_secret(node, key)
         place, sigma = f"problem.parts.{name}", settings["parts"][name].get("sigma")
         parts[name] = Measured(
             instantiate(nodes["model"], f"{place}.model", Model),
@@ -373,6 +373,6 @@ def build_space(node: Mapping[str, Any]) -> Space:
 
 
 def _root(text: str) -> Path:
-    without_secret(text, "root")
+    check_no_secret(text, "root")
     check_root(text)
     return Path(text)

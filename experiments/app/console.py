@@ -32,7 +32,7 @@ from experiments.app.explain import (
     replace_spaces,
 )
 from experiments.app.help import completion, help_text
-from experiments.app.safety import ReceivedError, SecretError, check_folder, check_typed
+from experiments.app.safety import check_folder, check_typed
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError
 from miho.parallel.cluster import ClusterError
@@ -53,8 +53,8 @@ OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, LEFT_ROAD, PIPE_CLOSED = 0, 1
 BY_SIGNAL = 128
 BAD_INPUT_ERRORS = (
     ClusterError, HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError,
-    DataUnavailableError, NotAFileError, ReceivedError, SecretError, YAMLError, FileNotFoundError,
-    IsADirectoryError, MissingNumbaError,
+    DataUnavailableError, NotAFileError, YAMLError, FileNotFoundError, IsADirectoryError,
+    MissingNumbaError,
 )  # fmt: skip
 
 Task = Callable[[DictConfig], float | None]

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from experiments.app.explain import ConfigError, unknown_message
 from experiments.app.safety import (
-    SecretError,
     TargetError,
     check_no_secret,
     find_target,
@@ -98,13 +97,5 @@ def part_of(setting: Mapping[str, Any], key: str) -> dict[str, Any]:
         raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
     if not isinstance(node, Mapping):
         raise ConfigError(f"{key}: is {node!r}; expected a mapping")
-    without_secret(node, key)
+    check_no_secret(node, key)
     return {str(name): value for name, value in node.items()}
-
-
-def without_secret(value: Any, key: str) -> None:
-    """Raise ConfigError if a value contains a secret."""
-    try:
-        check_no_secret(value, key)
-    except SecretError as error:
-        raise ConfigError(str(error)) from None

@@ -157,7 +157,7 @@ MOST_NODES = 100_000
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class ReceivedError(ValueError):
+class ReceivedError(ConfigError):
     """Bad file; the message is one line with the file and the fault."""
 
 
@@ -216,7 +216,7 @@ def _check_events(path: Path) -> None:
                 )
 
 
-class SecretError(ValueError):
+class SecretError(ConfigError):
     """A secret in a configuration; the message names its place and does not show it."""
 
 

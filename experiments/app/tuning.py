@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import optuna
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import (
     ChoiceSweep,
     IntervalSweep,
@@ -31,7 +30,7 @@ from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import Trial, TrialState
 
-from experiments.app.explain import ConfigError
+from experiments.app.explain import ConfigError, parse_overrides
 
 if TYPE_CHECKING:
     from experiments.plugins.hydra_plugins.miho_optuna import OptunaSweeper
@@ -111,9 +110,8 @@ def search_space(
         The composed configuration. If a setting is an integer there, an interval between integers
         gives integers; Hydra reads the ends as real numbers.
     """
-    parser = OverridesParser.create()
     texts = [*(f"{key}={value}" for key, value in params.items()), *arguments]
-    last = {override.get_key_element(): override for override in parser.parse_overrides(texts)}
+    last = {override.get_key_element(): override for override in parse_overrides(texts)}
     space = {
         key: _distribution(key, override, whole=type(OmegaConf.select(config, key)) is int)
         for key, override in last.items()
