@@ -38,6 +38,7 @@ def effort(e: Engine, vehicles: Any, ax: float, vx: float, gear: int) -> Effort:
     torque = force / (loss * lever) + inertia
 
     omega = max(vx * lever, v.idle_speed)
+    # Rows of the map at this speed, from the closed throttle up to the first one that is enough.
     i = cell(e.speeds, omega)
     part = min(max((omega - e.speeds[i]) / (e.speeds[i + 1] - e.speeds[i]), 0.0), 1.0)
     closed = (1 - part) * e.table[0, i] + part * e.table[0, i + 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +34,6 @@ def engine_of(vehicle: Vehicle, engine: EngineMap) -> Engine:
 
 def record_of(numbers: Mapping[str, Any]) -> Any:
     """Return a record with the numbers among the values of a mapping, in its order."""
-    values = {name: v for name, v in numbers.items() if isinstance(v, int | float)}
+    values = {name: v for name, v in numbers.items() if isinstance(v, Real)}
     dtype = np.dtype([(name, np.float64) for name in values])
     return np.array(tuple(values.values()), dtype=dtype)[()]
