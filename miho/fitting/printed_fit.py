@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from miho.fitting.fit_result import Fit
+    from miho.identification.uncertainty import Linearised
 
 WIDE = 10.0
 """The printed fit says how much correlated errors widen the intervals from this factor on."""
@@ -32,12 +34,12 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
         "together with priors"
     )
     priors = bool(alike_beside_priors(fit.problem, fit.theta))
-    try:
-        marks = marked(fit.problem, fit.theta, fit.uncertainty)
-    except ValueError:  # too few rows
-        marks = marked(fit.problem, fit.theta, None)
+    at = None
+    with contextlib.suppress(ValueError):  # too few rows
+        at = fit.uncertainty
+    marks = marked(fit.problem, fit.theta, at)
     size = "; ".join([f"{error} (root mean square of {rows:,} rows{weights})", *marks])
-    size += f"{_dependent(fit)}{narrow * priors}"
+    size += f"{_dependent(at)}{narrow * priors}"
     # The caveats explain an optimum in doubt.
     limits = " ".join(f"{limit}." for limit in at_limits(fit.problem, fit.theta))
     known = limits if fit._conclusion.doubt else fit.optimum.replace(". ", ".\n")
@@ -46,13 +48,9 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
     return table, lines
 
 
-def _dependent(fit: Fit) -> str:
+def _dependent(at: Linearised | None) -> str:
     """The remark on correlated errors, with the widening of the intervals if it is large."""
-    try:
-        at = fit.uncertainty
-    except ValueError:  # too few rows to tell
-        return ""
-    if at.dependence is None:
+    if at is None or at.dependence is None:
         return ""
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
     widest = float(widening(at, np.eye(usable.size)[usable]).max(initial=1.0))

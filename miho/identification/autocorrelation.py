@@ -12,6 +12,11 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 
 from miho.quantities import Array
 
+RESEMBLING = 0.1
+"""Errors of neighbouring rows are dependent if their correlation exceeds this ..."""
+SCORE = 2.33
+"""... and exceeds this number of standard deviations for independent errors, which has a chance of
+1 %."""
 HIGHEST_ORDER = 20
 ROWS_PER_COEFFICIENT = 8
 """Smallest number of degrees of freedom for each coefficient of an autoregressive model."""
@@ -53,6 +58,11 @@ class Likeness(NamedTuple):
 
     correlation: float
     score: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether errors of neighbouring rows count as dependent."""
+        return self.correlation > RESEMBLING and self.score > SCORE
 
 
 def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Likeness:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from miho.data.dataset import Dataset
 from miho.identification.autocorrelation import (
     Autoregression,
-    Likeness,
     autoregression,
     degrees_of_freedom,
     likeness,
@@ -28,11 +27,6 @@ if TYPE_CHECKING:
 EVENT = "event"
 """A column of this name numbers events, for example brakings, whose rows are not independent."""
 FEWEST_EVENTS = 3
-RESEMBLING = 0.1
-"""Errors of neighbouring rows are dependent if their correlation exceeds this ..."""
-SCORE = 2.33
-"""... and exceeds this number of standard deviations for independent errors, which has a chance of
-1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +68,7 @@ def dependent(
     times the basis to changes of the parameters. Rows are neighbours within a `series`.
     """
     alike = likeness(errors, basis, series)
-    if not _resemble(alike) or not basis.shape[1]:
+    if not alike.significant or not basis.shape[1]:
         return at
     model, sides = autoregression(errors, basis, series)
     few_rows = errors.size / at.freedom
@@ -125,11 +119,7 @@ def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
     errors = problem.errors(theta)
     # Remove the part of the errors that the parameters would fit without the priors.
     alike = likeness(errors - basis @ (basis.T @ errors), basis, series_of(problem))
-    return alike.correlation if _resemble(alike) else 0.0
-
-
-def _resemble(alike: Likeness) -> bool:
-    return alike.correlation > RESEMBLING and alike.score > SCORE
+    return alike.correlation if alike.significant else 0.0
 
 
 def series_of(problem: CurveFit) -> list[slice]:
