@@ -146,10 +146,6 @@ class Datasets:
         """Number of rows of each dataset, (M,)."""
         return np.diff(self.ends)
 
-    def columns(self, k: int) -> Array:
-        """Input columns (p, N) of a dataset."""
-        return self.X if self.shared else self.X[:, self.ends[k] : self.ends[k + 1]]
-
     def output(self, k: int) -> Array:
         """Output (N,) of a dataset."""
         return self.y[self.ends[k] : self.ends[k + 1]]

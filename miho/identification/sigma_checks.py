@@ -33,18 +33,17 @@ def check_sigma(problem: CurveFit) -> None:
             f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected "
             f"{problem.unit!r}, the unit of {dataset.output!r}"
         )
-    wrong = np.flatnonzero(column <= 0)
-    if wrong.size:
-        raise ValueError(
-            f"sigma: column {sigma!r} is {column[wrong[0]]:g} in row {wrong[0] + 1} of "
-            f"{dataset.name}; expected numbers above 0"
-        )
-    beyond = np.flatnonzero((column < SMALLEST) | (column > LARGEST))
-    if beyond.size:
-        raise ValueError(
-            f"sigma: column {sigma!r} is {column[beyond[0]]:g} in row {beyond[0] + 1} of "
-            f"{dataset.name}; expected {SMALLEST:g} to {LARGEST:g}"
-        )
+    beyond = (column < SMALLEST) | (column > LARGEST)
+    for wrong, expected in (
+        (column <= 0, "numbers above 0"),
+        (beyond, f"{SMALLEST:g} to {LARGEST:g}"),
+    ):
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise ValueError(
+                f"sigma: column {sigma!r} is {column[row]:g} in row {row + 1} of {dataset.name}; "
+                f"expected {expected}"
+            )
 
 
 def _check_prior(problem: CurveFit) -> None:

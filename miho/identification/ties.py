@@ -30,7 +30,6 @@ def ties_of(model: Model, space: Space) -> Ties:
                 f"parameter {parameter.name!r} of the space has unit {parameter.unit!r}; model "
                 f"{name} needs {needed!r}"
             )
-    for parameter in space.parameters:
         if parameter.fixed is not None and parameter.name not in model.parameters:
             raise ValueError(
                 f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix; "
