@@ -378,7 +378,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Residuals (n, m) of several configurations (n, d), evaluated together."""
-        return self._residuals.at(thetas, self._rows(fidelity))
+        return self._residuals.values(thetas, self._rows(fidelity))
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d), at one configuration (d,)."""

@@ -62,7 +62,7 @@ def ended_at_bounds(at: Linearised, space: Space) -> list[str]:
     return [
         f"the search ended at the {end} bound of {name}, {bound}: {name} is fixed there and has no "
         "standard error, and the other standard errors are too small."
-        for name, end, bound in parameters_at_bounds(at, space)
+        for name, end, bound in parameters_at_bounds(space, at.theta, at.at_bound)
     ]
 
 
@@ -100,7 +100,7 @@ def held_at_bounds(at: Linearised, space: Space) -> list[str]:
         f"{name} is at its {end} bound {bound}: widen the bounds, unless the data do not determine "
         f"{name}. It is fixed there and has no standard error, and the other standard errors are "
         "too small."
-        for name, end, bound in parameters_at_bounds(at, space)
+        for name, end, bound in parameters_at_bounds(space, at.theta, at.at_bound)
     ]
 
 

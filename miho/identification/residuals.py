@@ -137,7 +137,7 @@ class Residuals:
         errors -= target
         return np.asarray(errors)
 
-    def at(self, thetas: Array, rows: int | None) -> Array:
+    def values(self, thetas: Array, rows: int | None) -> Array:
         """Residuals (n, m) at configurations (n, d)."""
         errors = self.errors(thetas, rows)
         if isinstance(self.rho, Square):

@@ -142,7 +142,10 @@ def _status(at: Linearised, space: Space) -> dict[str, str]:
     """The state of each parameter of a space: FREE, at a bound, or not identifiable."""
     status = dict.fromkeys(space.names, FREE)
     status |= {space.names[k]: "not identifiable" for k in np.flatnonzero(at.unidentifiable)}
-    return status | {name: f"at {end} bound" for name, end, _ in parameters_at_bounds(at, space)}
+    return status | {
+        name: f"at {end} bound"
+        for name, end, _ in parameters_at_bounds(space, at.theta, at.at_bound)
+    }
 
 
 def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
@@ -153,14 +156,8 @@ def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
     """
     space = reported_space(problem.space)
     values = reported_values(problem, theta[None])[0]
-    nearer_low = values - space.low < space.high - values
-    bounds = {
-        p.name: f"at its {'lower' if low else 'upper'} bound"
-        for p, low, at_bound in zip(
-            space.parameters, nearer_low, at_bounds(space, values), strict=True
-        )
-        if at_bound
-    }
+    reached = parameters_at_bounds(space, values, at_bounds(space, values))
+    bounds = {name: f"at its {end} bound" for name, end, _ in reached}
     units = {p.name: p.unit for p in space.parameters}
     errors = dict.fromkeys(space.names, np.nan)
     if at is not None:

@@ -318,12 +318,14 @@ def _spread(problem: CurveFit, basis: Array, errors: Array, noise: float) -> tup
     return spread, 0
 
 
-def parameters_at_bounds(at: Linearised, space: Space) -> list[tuple[str, str, str]]:
+def parameters_at_bounds(
+    space: Space, theta: Array, at_bound: NDArray[np.bool_]
+) -> list[tuple[str, str, str]]:
     """Name, "lower" or "upper", and bound with unit of each parameter at a bound."""
     parameters = []
-    for i in np.flatnonzero(at.at_bound):
+    for i in np.flatnonzero(at_bound):
         p = space.parameters[i]
-        low = at.theta[i] - p.low < p.high - at.theta[i]
+        low = theta[i] - p.low < p.high - theta[i]
         value = with_unit(f"{p.low if low else p.high:g}", p.unit)
         parameters.append((p.name, "lower" if low else "upper", value))
     return parameters
