@@ -16,13 +16,17 @@ from miho.models.expression import Expression
 from miho.models.symbolic import Symbol, operation, trace
 from miho.models.traced import TracedExpression
 from miho.models.weighted import WithInput
+from miho.quantities import Array
 
 
 def transformed(
-    formula: ResidualFormula, rho: Loss, prior: PriorResiduals | None
+    model: Expression,
+    columns: tuple[Array, ...],
+    target: Array,
+    rho: Loss,
+    prior: PriorResiduals | None,
 ) -> ResidualFormula | None:
     """The formula of errors (N,) with a loss or priors; None for a loss that is no formula."""
-    model, columns, target = formula
     if isinstance(rho, Huber | Cauchy):
         model, columns = RobustExpression(model, rho), (*columns, target)
         target = np.zeros(target.size)

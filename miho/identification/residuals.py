@@ -38,11 +38,13 @@ class ResidualFormula(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals and their derivatives at parameters, over all rows or the first of an order.
+    """Residuals and their derivatives at parameters, over some rows or all.
 
     Errors are the output of `model` at `columns` minus `target`, (N,) each. A loss `rho` transforms
     them to residuals, and a `prior` adds residuals after the rows. Methods take the number of
-    `rows`, or None for all. `compiled` says whether the machine may be used.
+    `rows`, which are the first of an order, or None for all. `order` returns this order, and
+    `trials` the configurations at which the machine is compared with NumPy. `compiled` says whether
+    the machine may be used.
     """
 
     model: Model
@@ -51,9 +53,7 @@ class Residuals:
     rho: Loss
     prior: PriorResiduals | None
     order: Callable[[], NDArray[np.intp]]
-    """Returns the order of the rows."""
     trials: Callable[[], Array]
-    """Returns configurations at which the machine is compared with NumPy."""
     name: str
     threads: int
     compiled: bool
@@ -81,11 +81,12 @@ class Residuals:
         """All residuals as a formula, None without one."""
         if not isinstance(self.model, Expression):
             return None
-        formula: ResidualFormula | None = ResidualFormula(self.model, self.columns, self.target)
-        if formula and not self.plain:
+        formula: ResidualFormula | None
+        formula = ResidualFormula(self.model, self.columns, self.target)
+        if not self.plain:
             from miho.identification.residual_expressions import transformed
 
-            formula = transformed(formula, self.rho, self.prior)
+            formula = transformed(*formula, self.rho, self.prior)
         return formula if formula and is_formula(formula.model) else None
 
     @cached_property

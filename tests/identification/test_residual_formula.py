@@ -93,6 +93,24 @@ def test_a_residual_of_zero_has_the_derivative_of_the_model(rho: Loss) -> None:
     )  # some roundings; residuals of 1e-16 do not bend the losses
 
 
+class Roots(Loss):
+    """rho = |r|, which the machine does not know."""
+
+    def transform(self, residuals: Array) -> Array:
+        return np.asarray(np.sign(residuals) * np.sqrt(np.abs(residuals)))
+
+    def influence(self, residuals: Array) -> tuple[Array, Array]:
+        return np.sign(residuals) / 2, np.zeros_like(residuals)
+
+
+def test_a_loss_of_the_user_is_not_on_the_machine() -> None:
+    problem = problem_of(PLAIN, Roots(), weighted=False)
+    assert problem.kernel is None and problem.machine_rows is None
+    theta = np.array([2.0, 1.5])
+    expected = Roots().transform(problem.errors(theta))
+    np.testing.assert_array_equal(problem.residuals(theta), expected)
+
+
 @pytest.mark.parametrize("loss", ["huber", "cauchy", None])
 def test_a_search_by_the_machine_decides_as_one_by_numpy(loss: str | None) -> None:
     """The same descents end in the same optimum; 1e-6 is far below a standard error of 1e-2."""
