@@ -143,22 +143,7 @@ class JointFit(Fit):
     """The result of `fit_joint`; errors are weighted by sigma, and `scale` is their common unit."""
 
     def part(self, name: str) -> PartFit:
-        """The fit of one part, with values and uncertainties from the joint fit.
-
-        Parameters
-        ----------
-        name : str
-            Name of the part.
-
-        Returns
-        -------
-        PartFit
-
-        Raises
-        ------
-        ValueError
-            If there is no part of this name.
-        """
+        """The fit of the part of this name, with values and uncertainties from the joint fit."""
         parts = parts_of(self.problem.model)
         names = [part.name for part in parts]
         if name not in names:

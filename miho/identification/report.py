@@ -323,18 +323,10 @@ class Report:
         return percentile_intervals(replicates, units, self.at.freedom, self.level)
 
     def band(self, *inputs: Array) -> tuple[Array, Array]:
-        """Prediction with the half width of its interval.
+        """Prediction (N,) with the half width (N,) of its interval, in the unit of the output.
 
-        Parameters
-        ----------
-        *inputs : ndarray of shape (N,)
-            The input columns, in the order and units of the model.
-
-        Returns
-        -------
-        prediction, half_width : ndarray of shape (N,)
-            In the unit of the output. The interval has the level of the report and is an interval
-            of the curve, not of new measurements.
+        `inputs` are the input columns (N,), in the order and units of the model. The interval has
+        the level of the report and is an interval of the curve, not of new measurements.
         """
         return self.at.band(self.problem.model, self.level, *inputs)
 
