@@ -20,6 +20,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import cloudpickle
@@ -210,54 +211,71 @@ class Pool:
                 payload = pickled() if first or len(pickled()) <= SMALL else None
         if isinstance(self._executor, ProcessExecutor) and not self._executor.started and payload:
             self._executor.load_at_start(payload)
-        result: Future[Answer] = Future()
-        self._pending.add(result)
-        result.add_done_callback(self._pending.discard)
-        tries = itertools.count(1)
+        call = _Call(self._executor, token, pickled, argument)
+        self._pending.add(call.result)
+        call.result.add_done_callback(self._pending.discard)
+        call.submit(payload)
+        return call.result
 
-        def submit(payload: bytes | None) -> None:
-            if result.cancelled():
-                return
-            try:
-                inner = self._executor.submit(work, token, payload, argument)
-            except Exception as error:  # noqa: BLE001 -- any error of an executor that has ended
-                _fail(result, WorkersGoneError(_broken(error), again=False))
-                return
-            inner.add_done_callback(partial_answer)
-            result.add_done_callback(lambda _: inner.cancel())  # if the call is given up
 
-        def partial_answer(inner: Future[Answer]) -> None:
-            try:
-                answer = inner.result()
-            except WorkerLostError as error:
-                if error.again and next(tries) < TRIES:
-                    submit(payload)
-                else:
-                    _fail(result, error)
-                return
-            except BaseException as error:  # noqa: BLE001 -- from another library's executor
-                _fail(result, _foreign(error))
-                return
+@dataclass(eq=False)
+class _Call:
+    """A call of a shared function; it is repeated if its worker ends or lacks the function."""
+
+    executor: Executor
+    token: str
+    pickled: Callable[[], bytes]
+    argument: Any
+    tries: int = 0
+    result: Future[Answer] = field(default_factory=Future)
+
+    def submit(self, payload: bytes | None) -> None:
+        """Submit the call; `payload` contains the function if the worker may lack it."""
+        if self.result.cancelled():
+            return
+        try:
+            attempt = self.executor.submit(work, self.token, payload, self.argument)
+        except Exception as error:  # noqa: BLE001 -- any error of an executor that has ended
+            self._fail(WorkersGoneError(_broken(error), again=False))
+            return
+        attempt.add_done_callback(functools.partial(self._end, payload))
+        self.result.add_done_callback(lambda _: attempt.cancel())  # if the call is given up
+
+    def _end(self, payload: bytes | None, attempt: Future[Answer]) -> None:
+        """Take the answer of an attempt, or make another one."""
+        try:
+            answer = attempt.result()
+        except WorkerLostError as error:
+            self.tries += 1
+            if error.again and self.tries < TRIES:
+                self.submit(payload)
+            else:
+                self._fail(error)
+        except BaseException as error:  # noqa: BLE001 -- from another library's executor
+            self._fail(_foreign(error))
+        else:
             if answer.lacks:
-                send()
+                self._send()
             elif answer.unloadable is not None:
                 reason = f"a worker cannot load the function ({answer.unloadable})"
-                _fail(result, WorkersGoneError(f"{reason}; install its modules there", False))
+                self._fail(WorkersGoneError(f"{reason}; install its modules there", False))
             else:
                 with contextlib.suppress(Exception):  # it was cancelled meanwhile
-                    result.set_result(answer)
+                    self.result.set_result(answer)
 
-        def send() -> None:
-            try:
-                payload = pickled()
-            except Exception as error:  # noqa: BLE001 -- any error of pickling
-                reason = f"the function cannot be sent to workers ({Raised.of(error).line})"
-                _fail(result, WorkersGoneError(f"{reason}; give a ThreadPoolExecutor", False))
-            else:
-                submit(payload)
+    def _send(self) -> None:
+        """Repeat the call with the function, which the worker lacks."""
+        try:
+            payload = self.pickled()
+        except Exception as error:  # noqa: BLE001 -- any error of pickling
+            reason = f"the function cannot be sent to workers ({Raised.of(error).line})"
+            self._fail(WorkersGoneError(f"{reason}; give a ThreadPoolExecutor", False))
+        else:
+            self.submit(payload)
 
-        submit(payload)
-        return result
+    def _fail(self, error: WorkerLostError) -> None:
+        with contextlib.suppress(Exception):  # it was cancelled meanwhile
+            self.result.set_exception(error)
 
 
 def value_of(future: Future[Answer], check: Callable[[], object] = lambda: None) -> Any:
@@ -336,11 +354,6 @@ def _broken(error: BaseException) -> str:
     if isinstance(error, (CancelledError, asyncio.CancelledError)):
         return "the workers or their scheduler have left; give new workers"
     return f"the executor is broken ({Raised.of(error).line}); give a new one"
-
-
-def _fail(result: Future[Answer], error: WorkerLostError) -> None:
-    with contextlib.suppress(Exception):  # it was cancelled meanwhile
-        result.set_exception(error)
 
 
 def lost(error: BaseException) -> Raised:
