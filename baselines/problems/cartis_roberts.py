@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines.problems.system import System, Values, all_at, counted, same
+from baselines.problems.records import System, Values, all_at, counted, same
 
 TOINT = np.array([
     1.25, 1.40, 2.40, 1.40, 1.75, 1.20, 2.25, 1.20, 1.00, 1.10, 1.50, 1.60, 1.25, 1.25, 1.20, 1.20,

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from baselines.problems.system import System, Values, all_at, counted, same
+from baselines.problems.records import System, Values, all_at, counted, same
 
 TURNING = 6.80812
 """Parameter of Bratu's equation on a coarse grid, next to the turning point, as in CUTEst."""

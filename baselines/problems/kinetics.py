@@ -9,10 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.problems.form import Form
-
-Inputs = tuple[Any, ...]
-Theta = tuple[Any, ...]
+from baselines.problems.records import Form, Inputs, Theta
 
 EQUILIBRIUM = 1.632
 """Equilibrium constant of n-pentane and isopentane at the temperature of the experiment."""

@@ -6,10 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.problems.form import Form
-
-Inputs = tuple[Any, ...]
-Theta = tuple[Any, ...]
+from baselines.problems.records import Form, Inputs, Theta
 
 
 def bard(inputs: Inputs, b: Theta) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines.problems.system import System, Values, all_at, counted, same
+from baselines.problems.records import System, Values, all_at, counted, same
 
 
 def linear_full_rank(x: Values, m: int) -> Values:

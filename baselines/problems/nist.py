@@ -11,10 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.problems.form import Form
-
-Inputs = tuple[Any, ...]
-Theta = tuple[Any, ...]
+from baselines.problems.records import Form, Inputs, Theta
 
 YEAR = 2 * math.pi / 12
 CIRCLE = 2 * math.pi

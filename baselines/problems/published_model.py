@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from baselines.problems import kinetics, mgh, nist
-from baselines.problems.form import Form
+from baselines.problems.records import Form
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
 

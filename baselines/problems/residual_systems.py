@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.problems import cartis_roberts, discretized, more_wild
-from baselines.problems.system import System
+from baselines.problems.records import System
 from miho.models.model import Model
 from miho.quantities import Array
 from miho.validate import whole

@@ -13,8 +13,7 @@ from miho.compiled.phases import CLOSED, POLISH
 from miho.optim.credibility import check_structure
 from miho.optim.gauss_newton_steps import Round, rounds
 from miho.optim.miho_gn import MIHOGN
-from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import MIHOGNState
+from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 

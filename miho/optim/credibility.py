@@ -8,8 +8,7 @@ import numpy as np
 
 from miho.optim.evidence import EPSILON, Agreement, in_optimum
 from miho.optim.meter import BudgetExhausted, UnusableValueError
-from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import MIHOGNState, at_bound
+from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, at_bound
 from miho.optim.oracle import Oracle
 from miho.optim.structure import MOST as MOST_ROWS
 from miho.optim.structure import has_structure

@@ -18,8 +18,7 @@ from miho.compiled.phases import (
     make_room,
     room_for,
 )
-from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import box_of
+from miho.optim.miho_gn_state import MIHOGNSettings, box_of
 from miho.optim.space import Space
 from miho.quantities import Array
 

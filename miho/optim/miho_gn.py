@@ -35,8 +35,7 @@ from miho.optim.credibility import check_structure, credible, is_tested, solves
 from miho.optim.evidence import ENOUGH, in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import UnusableValueError
-from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import MIHOGNState, box_of, square_distances
+from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 

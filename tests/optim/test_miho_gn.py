@@ -106,7 +106,7 @@ def test_without_room_for_derivatives_steps_pay_for_their_own(
     problem: LeastSquaresProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with_room = minimize(MIHOGN(), problem, seed=2)
-    monkeypatch.setattr("miho.optim.miho_gn_settings.ROOM", 0)
+    monkeypatch.setattr("miho.optim.miho_gn_state.ROOM", 0)
     whole = minimize(MIHOGN(), problem, seed=2)
     assert whole.outcome is Outcome.CONVERGED
     assert whole.loss == pytest.approx(with_room.loss, rel=1e-8)  # at which steps end

@@ -393,7 +393,7 @@ class LateExecutor(ThreadPoolExecutor):
 
 def test_robust_losses_are_the_same_by_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there is no room for derivatives beside residuals, and they come later."""
-    monkeypatch.setattr("miho.optim.miho_gn_settings.ROOM", 0)
+    monkeypatch.setattr("miho.optim.miho_gn_state.ROOM", 0)
     problem = decay_fit(rho=Huber(0.01))
     alone = minimize(MIHOGN(), problem, BUDGET)
     assert same(alone, minimize(MIHOGN(), problem, BUDGET, workers=2, evaluation_limit=LIMIT))

@@ -1,4 +1,4 @@
-"""Record of a published system of residuals."""
+"""Records of published formulas and systems of residuals."""
 
 from __future__ import annotations
 
@@ -8,12 +8,30 @@ from typing import Any
 
 import numpy as np
 
+from miho.compiled.kernel import Formula
 from miho.quantities import Array
 
+Inputs = tuple[Any, ...]
+Theta = tuple[Any, ...]
+"""Input columns of a formula, and its parameters b1, b2, ..."""
 Values = Any
 """An array, real or complex."""
 Residuals = Callable[[Values, int], Values]
 """Residuals (m, k) of k columns of variables (n, k), for m residuals."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A formula of `inputs` columns and `parameters` numbers, with derivatives by the parameters.
+
+    `linear` has the numbers, from 1, of parameters in which the output is jointly linear.
+    """
+
+    value: Formula
+    derivatives: Formula
+    parameters: int
+    linear: tuple[int, ...] = ()
+    inputs: int = 1
 
 
 @dataclass(frozen=True)
