@@ -324,3 +324,5 @@ def test_a_former_member_names_its_place() -> None:
     oracle = Oracle(DecayFit(), Budget())
     with pytest.raises(AttributeError, match=r"it is oracle\.starts\.add now"):
         _ = oracle.record_descent
+    with pytest.raises(AttributeError, match=r"it is oracle\.traits\.rounding now"):
+        _ = oracle.rounding
