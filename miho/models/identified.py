@@ -91,7 +91,9 @@ class Identified:
 
     def __post_init__(self) -> None:
         units = {name: value.unit for name, value in self.parameters.items()}
-        if list(units.items()) != list(self.model.parameters.items()):
+        pairs = zip(units.values(), self.model.parameters.values(), strict=False)
+        differ = any(unit != needed and unit and needed for unit, needed in pairs)
+        if list(units) != list(self.model.parameters) or differ:
             raise ValueError(
                 f"parameters and units are {units}; model {type(self.model).__name__} needs "
                 f"{dict(self.model.parameters)}"
@@ -129,7 +131,8 @@ class Identified:
         for sentence in self.outside(*inputs):
             text = f"{type(self.model).__name__}: {sentence}; this is extrapolation"
             warnings.warn(text, OutsideDataWarning, stacklevel=2)
-        return np.asarray(self.model.predict(self.theta[None], *inputs)[0])
+        columns = [np.asarray(column, dtype=float) for column in inputs]
+        return np.asarray(self.model.predict(self.theta[None], *columns)[0])
 
 
 def parameters_text(identified: Identified, settings: Mapping[str, Any]) -> str:
@@ -203,7 +206,9 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
         # Check the model; `Identified` checks parameters, units and inputs.
         about = document["model"]
         name = type(model).__name__
-        if about["name"] != name or about["output"] != model.output:
+        same = {"FunctionFormula": "FunctionModel"}  # a function before and after it is traced
+        alike = same.get(about["name"], about["name"]) == same.get(name, name)
+        if not alike or about["output"] != model.output:
             raise ParametersError(f"{path}: holds a {about['name']}; expected a {name}")
         return Identified(
             model=model,

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import miho
+from miho.identification import identified as of_report
 from miho.models.identified import (
     Identified,
     OutsideDataWarning,
@@ -52,6 +54,23 @@ def test_round_trip(tmp_path: Path) -> None:
     alpha = np.linspace(-0.2, 0.25, 7)
     expected = Pacejka().predict(np.array([list(THETA.values())]), alpha)[0]
     np.testing.assert_array_equal(read_back.predict(alpha), expected)
+
+
+def line(x, *, a, b):  # type: ignore[no-untyped-def]
+    return a + b * x
+
+
+def test_a_function_without_units_is_read_back_with_the_units_of_its_space(tmp_path: Path) -> None:
+    x = np.linspace(0, 1, 20)
+    space = {"a": {"unit": "V", "low": -9, "high": 9}, "b": {"unit": "V/s", "low": -9, "high": 9}}
+    noise = 0.1 * np.random.default_rng(0).standard_normal(20)
+    fit = miho.fit(line, x, 1 + 2 * x + noise, space)
+    path = tmp_path / "parameters.json"
+    path.write_text(parameters_text(of_report(fit.report(profiles=False), {}), {}))
+    model = miho.models.FunctionModel(line, columns=("x",))
+    read_back = read_parameters(path, model)
+    assert read_back.parameters["b"].unit == "V/s"
+    np.testing.assert_allclose(read_back.predict(x.tolist()), fit.predict(x).value, rtol=1e-12)
 
 
 def test_use_beyond_the_data_is_told() -> None:
