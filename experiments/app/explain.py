@@ -148,10 +148,21 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         typed = [text for text in texts if text.lstrip("+").startswith(f"{key}=")]
         if expected and typed:
             return f"{key}: is {parse_overrides(typed)[-1].value()!r}; expected {expected}"
+    for text in texts:
+        if text.startswith("+experiment="):
+            return f"{text}: an experiment is chosen once; write {text[1:]}"
+        if text.startswith("space.") and "=[" in text:
+            return f"{text}: is a list; write its ends by name, as in {_ends(text)}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"
     return message
+
+
+def _ends(text: str) -> str:
+    """The override of bounds that a list such as space.a=[0,5] stands for."""
+    name = text.partition("=")[0].split(".")[1]
+    return f"space.{name}.low=0 space.{name}.high=1"
 
 
 def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str:
@@ -163,7 +174,8 @@ def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str
         return f"{place}{group}={name}: is not installed; pip install 'miho[launchers]'"
     if f"{group}={name}" in RENAMED:
         return f"{place}{group}={name}: {RENAMED[f'{group}={name}']}"
-    return place + unknown_message(f"{group}={name}", error.options or ())
+    own = "; your own need --config-dir FOLDER" * (group == "experiment")
+    return place + unknown_message(f"{group}={name}", error.options or ()) + own
 
 
 def _having(key: str) -> str:

@@ -10,6 +10,7 @@ import pytest
 
 import miho
 from miho.identification import identified as of_report
+from miho.models import FunctionModel
 from miho.models.identified import (
     Identified,
     OutsideDataWarning,
@@ -67,7 +68,7 @@ def test_a_function_without_units_is_read_back_with_the_units_of_its_space(tmp_p
     fit = miho.fit(line, x, 1 + 2 * x + noise, space)
     path = tmp_path / "parameters.json"
     path.write_text(parameters_text(of_report(fit.report(profiles=False), {}), {}))
-    model = miho.models.FunctionModel(line, columns=("x",))
+    model = FunctionModel(line, columns=("x",))
     read_back = read_parameters(path, model)
     assert read_back.parameters["b"].unit == "V/s"
     np.testing.assert_allclose(read_back.predict(x.tolist()), fit.predict(x).value, rtol=1e-12)
