@@ -110,9 +110,9 @@ def draw_comparison(
 
 
 def stuck(curves: pd.DataFrame) -> list[str]:
-    """Methods of which no run has improved the error of its first configuration by 1 %."""
+    """Methods of which no run is 1 % better than its first error or within 1 % of the best."""
     ends = curves.groupby(["optimizer", "id"])["error"].agg(["first", "last"])
-    moved = ends["last"] < 0.99 * ends["first"]
+    moved = (ends["last"] < 0.99 * ends["first"]) | (ends["last"] < 1.01 * ends["last"].min())
     return [str(method) for method, any_run in moved.groupby(level=0).any().items() if not any_run]
 
 

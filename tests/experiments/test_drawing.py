@@ -67,6 +67,7 @@ def test_fig6_of_a_root_that_no_comparison_made(
 
 def test_a_method_that_stays_at_its_start_is_named() -> None:
     steps = {"miho": [[(1.0, 900.0), (9.0, 400.0)]], "gbo_large": [[(1.0, 900.0), (2.0, 899.0)]]}
+    steps["miho_gn"] = [[(5.0, 400.0)]]  # it comes from a part of the rows
     assert stuck(frames(steps)[1]) == ["gbo_large"]
 
 
