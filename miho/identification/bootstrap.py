@@ -39,8 +39,8 @@ def bootstrap(
 
     Whole rows are drawn [1]_, which assumes only that rows are independent. If the data number
     events, whole events are drawn. Dependent rows get exponential weights in blocks [2]_. No weight
-    is 0, so parameters that only a few rows determine stay determined. Raises ValueError if a worker
-    is lost.
+    is 0, so parameters that only a few rows determine stay determined. Raises ValueError if a
+    worker is lost.
 
     Parameters
     ----------
