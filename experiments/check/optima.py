@@ -16,9 +16,10 @@ import math
 import multiprocessing
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import scipy.optimize
@@ -34,8 +35,6 @@ from miho.quantities import Array
 from miho.study import single_thread
 
 WORKERS = 2
-CHUNK = 10
-"""Starting points per task of a worker."""
 ROUGH, FINE = 1e-6, 1e-12
 """Tolerances of the solver; the fine one is far below the tolerance for agreement."""
 NEAR = 1e-2
@@ -109,8 +108,8 @@ def thetas_of(problem: CurveFit, points: Array) -> Array:
     return problem.space.clip(problem.space.decode(low + points * (high - low)))
 
 
-def least_squares_ends(name: str, points: Array, tolerance: float) -> tuple[Array, Array]:
-    """Ends of least squares from points (n, d): points (n, d), and errors (n,).
+def least_squares_end(name: str, tolerance: float, point: Array) -> tuple[Array, float]:
+    """End of least squares from a point (d,), and its error.
 
     The error is NaN if the model fails at the starting point, or its derivatives fail later.
     """
@@ -125,51 +124,44 @@ def least_squares_ends(name: str, points: Array, tolerance: float) -> tuple[Arra
         theta = thetas_of(problem, point)
         return np.asarray(problem.jacobian(theta) * np.where(log, theta, 1.0) * (high - low))
 
-    ends, errors = points.copy(), np.full(len(points), np.nan)
     with single_thread():
-        for i, point in enumerate(points):
-            if not np.isfinite(residuals(point)).all():
-                continue
-            try:
-                descent = scipy.optimize.least_squares(
-                    residuals, point, jac=jacobian, bounds=(0.0, 1.0), method="trf", x_scale="jac",
-                    ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=STEPS,
-                )  # fmt: skip
-            except (ValueError, np.linalg.LinAlgError):  # derivatives that are not finite
-                continue
-            ends[i], errors[i] = descent.x, error_at(problem, descent.x)
-    return ends, errors
+        if not np.isfinite(residuals(point)).all():
+            return point, math.nan
+        try:
+            descent = scipy.optimize.least_squares(
+                residuals, point, jac=jacobian, bounds=(0.0, 1.0), method="trf", x_scale="jac",
+                ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=STEPS,
+            )  # fmt: skip
+        except (ValueError, np.linalg.LinAlgError):  # derivatives that are not finite
+            return point, math.nan
+        return descent.x, error_at(problem, descent.x)
 
 
-def all_least_squares_ends(
-    name: str, points: Array, tolerance: float, pool: ProcessPoolExecutor
-) -> tuple[Array, Array]:
-    """`least_squares_ends` on all workers."""
-    chunks = [points[i : i + CHUNK] for i in range(0, len(points), CHUNK)]
-    tasks = [pool.submit(least_squares_ends, name, chunk, tolerance) for chunk in chunks]
-    results = [task.result() for task in tqdm(tasks, desc=name, leave=False, disable=None)]
-    ends, errors = (np.concatenate(part) for part in zip(*results, strict=True))
-    return ends, errors
-
-
-def simplex_ends(name: str, points: Array) -> tuple[Array, Array]:
-    """Ends of the simplex from points (n, d): points (n, d), and errors (n,)."""
+def simplex_end(name: str, point: Array) -> tuple[Array, float]:
+    """End of the simplex from a point (d,), and its error."""
     problem = problem_of(name)
 
     def error(point: Array) -> float:
         return error_at(problem, point)
 
-    bounds = [(0.0, 1.0)] * points.shape[1]
-    ends = np.clip(points, 0.0, 1.0)
+    end = np.clip(point, 0.0, 1.0)
     with single_thread():
-        for i in range(len(ends)):
-            for _ in range(2):
-                descent = scipy.optimize.minimize(
-                    error, ends[i], method="Nelder-Mead", bounds=bounds,
-                    options={"maxfev": SIMPLEX, "xatol": 1e-13, "fatol": 0.0, "adaptive": True},
-                )  # fmt: skip
-                ends[i] = descent.x
-    return ends, np.array([error(end) for end in ends])
+        for _ in range(2):
+            end = scipy.optimize.minimize(
+                error, end, method="Nelder-Mead", bounds=[(0.0, 1.0)] * point.size,
+                options={"maxfev": SIMPLEX, "xatol": 1e-13, "fatol": 0.0, "adaptive": True},
+            ).x  # fmt: skip
+        return end, error(end)
+
+
+def all_ends(
+    pool: ProcessPoolExecutor, end: Callable[[Array], tuple[Array, float]], points: Array, name: str
+) -> tuple[Array, Array]:
+    """Ends (n, d) from points (n, d), and errors (n,), by all workers."""
+    ends = pool.map(end, points, chunksize=max(1, len(points) // (10 * WORKERS)))
+    bar = tqdm(ends, desc=name, total=len(points), leave=False, disable=None)
+    places, errors = zip(*bar, strict=True)
+    return np.array(places), np.array(errors)
 
 
 def error_at(problem: CurveFit, point: Array) -> float:
@@ -188,15 +180,14 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
         theta, loss = exact
         seconds = time.perf_counter() - began
         return Optimum(*shape, math.sqrt(loss), theta, 0, 0, 0, 0, math.nan, seconds)
-    ends, errors = all_least_squares_ends(name, starts_of(name, starts), ROUGH, pool)
+    rough, fine = (partial(least_squares_end, name, tolerance) for tolerance in (ROUGH, FINE))
+    ends, errors = all_ends(pool, rough, starts_of(name, starts), name)
     resolution = composed([f"problem={name}"]).problem.resolution or 0.0
     limit = max(np.nanmin(errors) * (1 + NEAR), NEAR_EXACT * resolution)
     near = np.flatnonzero(errors <= limit)
-    ends[near], errors[near] = all_least_squares_ends(name, ends[near], FINE, pool)
+    ends[near], errors[near] = all_ends(pool, fine, ends[near], name)
     best = np.argsort(errors, kind="stable")[:POLISHED]
-    tasks = [pool.submit(simplex_ends, name, ends[i : i + 1]) for i in best]
-    polished_ends = [task.result() for task in tasks]
-    finer, finest = (np.concatenate(part) for part in zip(*polished_ends, strict=True))
+    finer, finest = all_ends(pool, partial(simplex_end, name), ends[best], name)
     points, all_errors = np.vstack([finer, ends[best]]), np.concatenate([finest, errors[best]])
     error = float(all_errors.min())
     least = max(error, resolution)
