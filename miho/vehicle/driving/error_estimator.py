@@ -37,17 +37,7 @@ class ErrorEstimator:
 
     @classmethod
     def of(cls, sampled: SampledModel, noise: Sensors, speeds: Array) -> ErrorEstimator:
-        """Return the filter for sensors with this noise.
-
-        Parameters
-        ----------
-        sampled : SampledModel
-            Model of the errors and of the steering.
-        noise : Sensors
-            Standard deviations of position, yaw, vy, yaw rate and steering.
-        speeds : array (k,)
-            Rising speeds [m/s] at which the gains are computed.
-        """
+        """Return the filter for sensors with this noise, with gains at rising speeds (k,) [m/s]."""
         d, period = sampled.delayed, sampled.period
         W = np.diag([0.0, LATERAL, HEADING, YAW, RACK]) * period
         rows = []

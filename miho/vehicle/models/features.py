@@ -51,13 +51,11 @@ def tire_features(model: Model, columns: Mapping[str, Array]) -> tuple[Derived, 
     names = list(model.parameters)
     if {"B", "C", "D"} <= set(names):
         BCD = [names.index(name) for name in "BCD"]
-        product = _signed(
-            "cornering stiffness B C D (Eq. 14)",
-            "N/rad",
-            lambda thetas: np.asarray(thetas[:, BCD].prod(axis=1)),
-            1,
-        )
-        quantities.insert(0, product)
+
+        def product(thetas: Array) -> Array:
+            return np.asarray(thetas[:, BCD].prod(axis=1))
+
+        quantities.insert(0, _signed("cornering stiffness B C D (Eq. 14)", "N/rad", product, 1))
     # Friction: at one load the friction of the tire, over several loads a mean.
     if "Fz" in columns:
         load = float(np.median(columns["Fz"]))
@@ -65,14 +63,11 @@ def tire_features(model: Model, columns: Mapping[str, Array]) -> tuple[Derived, 
         name = f"peak friction at Fz = {load:.0f} N"
         if not one_load:
             name = f"mean peak force over the median load, {load:.0f} N"
-        quantities.append(
-            _signed(
-                name,
-                "-",
-                lambda thetas: (positive(thetas)[1] + negative(thetas)[1]) / (2 * load),
-                1,
-            )
-        )
+
+        def friction(thetas: Array) -> Array:
+            return (positive(thetas)[1] + negative(thetas)[1]) / (2 * load)
+
+        quantities.append(_signed(name, "-", friction, 1))
     return tuple(quantities)
 
 

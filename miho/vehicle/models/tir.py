@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
 from math import isfinite, isinf
 from pathlib import Path
 
@@ -167,7 +166,8 @@ def _version(file: PropertyFile) -> Version:
 def _check_vocabulary(file: PropertyFile, version: Version) -> None:
     """Refuse sections and keys that the version does not have."""
     errors, places = [], []
-    for section, key in _entries(file):
+    entries = [(section, key) for section in file.sections for key in ("", *file.sections[section])]
+    for section, key in entries:
         coefficient = section.endswith("_COEFFICIENTS") and key
         if section not in KEYS:
             problem = f"section [{section}] is unknown"
@@ -187,14 +187,6 @@ def _check_vocabulary(file: PropertyFile, version: Version) -> None:
     if len(present) > 1:
         problem = f"[{present[1]}] is another name of the section [{present[0]}]"
         raise file.error(present[1], "", problem, "keep one of the two")
-
-
-def _entries(file: PropertyFile) -> Iterator[tuple[str, str]]:
-    """Yield (section, "") for each section of a file, then (section, key) for its keys."""
-    for section, entries in file.sections.items():
-        yield section, ""
-        for key in entries:
-            yield section, key
 
 
 def _property_file(parameters: MagicFormulaParameters) -> PropertyFile:

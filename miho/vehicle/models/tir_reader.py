@@ -180,9 +180,8 @@ class _Reader:
         if text.startswith("["):
             self._header(text, column)
         elif not self.section:
-            self.fail(
-                column, f"{printable(text)} before the first section", "begin with [MDI_HEADER]"
-            )
+            problem = f"{printable(text)} before the first section"
+            self.fail(column, problem, "begin with [MDI_HEADER]")
         elif self.section == "MDI_HEADER" and text[0] in "({'\"":
             return  # free-text comment of the header
         elif "=" in text:
@@ -262,9 +261,8 @@ class _Reader:
             if self.section in self.columns or self.section in self.rows:
                 self.fail(column, "column names after the first row", "name the columns once")
             if len(names) != width:
-                self.fail(
-                    column, f"expected {width} column names, got {len(names)}", "name each column"
-                )
+                problem = f"expected {width} column names, got {len(names)}"
+                self.fail(column, problem, "name each column")
             self.columns[self.section] = tuple(names)
             return
         row = tuple(
@@ -273,11 +271,9 @@ class _Reader:
         if len(row) != width:
             problem = f"expected {width} numbers in a row of [{self.section}], got {len(row)}"
             self.fail(column, problem, f"write {width} numbers")
-        self.places[self.section, f"row {len(self.rows.get(self.section, ()))}"] = (
-            self.number,
-            column,
-        )
-        self.rows.setdefault(self.section, []).append(row)
+        rows = self.rows.setdefault(self.section, [])
+        self.places[self.section, f"row {len(rows)}"] = self.number, column
+        rows.append(row)
 
     def property_file(self) -> PropertyFile:
         # Factors to SI units, from [UNITS] before it is converted.
