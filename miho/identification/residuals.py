@@ -59,7 +59,7 @@ class Residuals:
     compiled: bool
 
     @property
-    def plain(self) -> bool:
+    def _plain(self) -> bool:
         """Whether the residuals are the errors."""
         return isinstance(self.rho, Square) and self.prior is None
 
@@ -83,7 +83,7 @@ class Residuals:
             return None
         formula: ResidualFormula | None
         formula = ResidualFormula(self.model, self.columns, self.target)
-        if not self.plain:
+        if not self._plain:
             from miho.identification.residual_expressions import transformed
 
             formula = transformed(*formula, self.rho, self.prior)
@@ -94,7 +94,7 @@ class Residuals:
         """All residuals on the machine, None if it cannot or may not run them."""
         if self._formula is None or not self.compiled:
             return None
-        if self.plain:
+        if self._plain:
             return self._taped_errors
         model, columns, target = self._formula
         order = self.order if self.prior is None else lambda: np.arange(target.size)
@@ -109,7 +109,7 @@ class Residuals:
 
     def losses(self, thetas: Array, rows: int | None) -> Array:
         """Mean squares (n,) of the residuals at configurations (n, d)."""
-        if self._traced is not None and self.plain:
+        if self._traced is not None and self._plain:
             return self._traced.losses(thetas, rows)
         if self.kernel is not None:
             by_machine = self.kernel.losses(thetas, rows)
@@ -129,7 +129,7 @@ class Residuals:
         """Errors (n, m) at configurations (n, d)."""
         if self._traced is not None:
             return self._traced.residuals(thetas, rows)
-        if rows is None and self.plain and self.kernel is not None:
+        if rows is None and self._plain and self.kernel is not None:
             by_machine = self.kernel.residuals(thetas)
             if by_machine is not None:
                 return by_machine
@@ -151,7 +151,7 @@ class Residuals:
         derivatives = None
         if self._traced is not None:
             derivatives = self._traced.jacobian(theta, rows)
-        elif rows is None and self.plain and self.kernel is not None:
+        elif rows is None and self._plain and self.kernel is not None:
             derivatives = self.kernel.jacobian(theta)
         if derivatives is None:
             derivatives = self.model.jacobian(theta, *self._first(rows)[0])
