@@ -174,15 +174,17 @@ def fit(
         check_start(start, journal)
         start = None
     check_named(start=start, fixed=fixed, tied=tied)
-    arguments = x, y, space or (), start, fixed or {}, tied or {}
+    fixed, tied = fixed or {}, tied or {}
     if not callable(model) and not isinstance(model, Model):
         from miho.fitting.protocols import model_from
 
-        model, space, start = model_from(model, *arguments)
+        model, space, start = model_from(model, x, y, space or (), start, fixed, tied)
     if isinstance(space, Collection) and not isinstance(space, Mapping | Space):
         raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
+
+    # The data, and the loss of a residual.
     named = space.names if isinstance(space, Space) else tuple(space or ())
-    parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
+    parameters = {*named, *(start or ()), *fixed, *tied}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, missing, convention, ranges)
     known = None if sigma is None or not sigma_known else sigma
     rho: Loss = Square()
@@ -190,7 +192,8 @@ def fit(
         from miho.fitting.named import loss_of
 
         rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
-    stated = chosen, space, start, fixed or {}, tied or {}
+    # The space; without bounds, dense constraints need a narrower one.
+    stated = chosen, space, start, fixed, tied
     own = sought = bounds = space_of(*stated)
     if constraints or not isinstance(constraints, tuple):
         from miho.identification.constraints import constrained, free_values
@@ -204,7 +207,7 @@ def fit(
 
             free_values(bounds.free, ties_of(chosen, bounds), start)
 
-    # If sigma is unknown, the residuals determine the weight of priors.
+    # The problem. If sigma is unknown, the residuals determine the weight of priors.
     settles = bounds.has_priors and (sigma is None or not sigma_known)
     plain = bounds.without_priors if settles else bounds
 
@@ -214,6 +217,7 @@ def fit(
             expensive=expensive,
         )  # fmt: skip
 
+    # The search or the descent, with workers and a journal if there are any.
     opened: AbstractContextManager[Evaluations | None] = nullcontext()
     if workers is None and evaluation_limit is None and journal is None:
         first = problem_of(expensive=False)
