@@ -109,8 +109,8 @@ def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
 
     `everywhere` says that this holds at any configuration, not only at this optimum.
     """
-    sentences, names = [], space.names
-    free = [names[i] for i in np.flatnonzero(at.unidentifiable)]
+    sentences = []
+    free = [space.names[i] for i in np.flatnonzero(at.unidentifiable)]
     if free and len(free) == len(at.null_directions):
         place = "whatever the method" if everywhere else "at this optimum"
         sentences.append(f"the data do not depend on {_listed(free)}: not identifiable, {place}.")
@@ -366,8 +366,7 @@ def sigma_disagrees(problem: CurveFit, at: Linearised) -> list[str]:
     """A sentence if the errors contradict a known sigma."""
     if not at.noise_known:
         return []
-    squares = float(np.sum(problem.errors(at.theta) ** 2)) / at.noise**2
-    freedom = at.freedom
+    squares, freedom = float(np.sum(problem.errors(at.theta) ** 2)) / at.noise**2, at.freedom
     tails = scipy.special.chdtr(freedom, squares), scipy.special.chdtrc(freedom, squares)
     if min(tails) >= SURPRISING:
         return []
