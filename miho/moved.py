@@ -34,6 +34,8 @@ MOVED = {
     "miho.analysis.arena_results": "baselines.arena.results",
     "miho.analysis.compare.readings": "baselines.arena.readings",
     "miho.identification.statement": "miho.identification.conclusion",
+    "miho.study.curves": "miho.study.index",
+    "miho.study.scan": "miho.study.index",
     "miho.analysis.figures.arena": "baselines.arena.figures",
     "miho.analysis.figures.ranking": "baselines.arena.ranking",
     "miho.analysis.figures.readings": "baselines.arena.readings_figure",
