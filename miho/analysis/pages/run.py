@@ -109,7 +109,8 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     widths = {len(section.table.columns) for section in sections if section.table is not None}
     columns = Markup("").join(f".columns-{n} {{ --columns: {n}; }}\n" for n in sorted(widths))
     style = asset("run.css") + columns
-    return render("run.html", title=title, subtitle=subtitle, sections=sections, style=style)
+    parts = {"subtitle": subtitle, "sections": sections}
+    return render("run.html", title=title, **parts, style=style, script=None)
 
 
 def figures_of(report: Report) -> dict[str, bytes]:

@@ -140,6 +140,7 @@ def sweep_page(sweep: Sweep, about: Contents, best: Mapping[str, Best]) -> str:
     # The contents of the template, from the top of the page to its end.
     return render(
         "sweep.html",
+        title=about.title,
         about=about,
         style=asset("sweep.css"),
         script=script,
