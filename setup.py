@@ -22,8 +22,8 @@ from setuptools.command.build_ext import build_ext
 
 CORE = Path("miho/core")
 FLAGS = [
-    "-std=gnu11", "-O3", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
-    "-fvisibility=hidden", "-fno-wrapv",
+    "-std=gnu11", "-O2", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
+    "-fopenmp-simd", "-fvisibility=hidden", "-fno-wrapv", "-fno-asynchronous-unwind-tables",
 ]  # fmt: skip
 """No product and sum is fused, so that every processor gives the same bits; no function gives way
 to one of its name in another library; and counters of loops do not wrap, as Python's own flags
@@ -78,8 +78,8 @@ machine = Extension(
     [str(CORE / f"{name}.c") for name in
      ("module", "module_arrays", "module_climb", "module_many", "module_search", "module_track",
       "module_trajectory", "module_triangular", "evaluate", "climb", "triangular", "steps",
-      "descent", "bracket", "many", "track", "trajectory", "level_baseline", "level_avx2",
-      "level_avx512")],
+      "descent", "bracket", "many", "track", "trajectory", "one_row", "level_baseline",
+      "level_avx2", "level_avx512")],
     depends=[str(path) for path in sorted(CORE.glob("*.h"))],
     extra_compile_args=FLAGS,
     extra_link_args=["-Wl,-s"] if sys.platform == "linux" else [],  # without names of functions

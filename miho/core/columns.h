@@ -1,4 +1,4 @@
-/* Sums over columns of rows. Compiled once for each level, by operations.h. */
+/* Sums over columns of rows. Compiled once for each level, by level.h. */
 
 #define SMALLEST 0x1p-1022      /* the smallest normal number */
 
@@ -12,11 +12,17 @@ static double in_pairs(const double *sums) {
    are for whole eights of rows. */
 typedef double wide __attribute__((vector_size(8 * WIDTH), aligned(8), may_alias));
 #define WIDES (8 / WIDTH)
-#define AT(a) ((wide *)((a) + i))[k]
+#define UNROLLED _Pragma("GCC unroll 8")
+#define EACH_WIDE UNROLLED for (int k = 0; k < WIDES; k++)
+#define AT(a) ((const wide *)((a) + i))[k]
+
+INLINE void numbers_of(const wide *sums, double *each) {
+    UNROLLED for (int k = 0; k < 8; k++) each[k] = sums[k / WIDTH][k % WIDTH];
+}
 
 INLINE double wide_in_pairs(const wide *sums) {
     double each[8];
-    for (int k = 0; k < 8; k++) each[k] = sums[k / WIDTH][k % WIDTH];
+    numbers_of(sums, each);
     return in_pairs(each);
 }
 
@@ -25,35 +31,37 @@ static void product_sums(double *columns, int64_t stride, int64_t rows, int64_t 
     for (int64_t j = 0; j < n; j++) {
         wide sums[WIDES] = {0};
         for (int64_t i = 0; i < rows; i += 8)
-            for (int k = 0; k < WIDES; k++) sums[k] += AT(columns) * AT(columns + j * stride);
+            EACH_WIDE sums[k] += AT(columns) * AT(columns + j * stride);
         out[j] = wide_in_pairs(sums);
     }
 }
 
 /* Subtract `factor` times b from a. Returns the product sum of the result and `other`, or itself if
    this is NULL. */
-INLINE double subtract_and_sum(double *a, double factor, double *b, double *other, int64_t rows) {
+INLINE double subtract_and_sum(double *a, double factor, const double *b, const double *other,
+                               int64_t rows) {
     wide sums[WIDES] = {0};
     for (int64_t i = 0; i < rows; i += 8)
-        for (int k = 0; k < WIDES; k++) {
+        EACH_WIDE {
             wide value = AT(a) - factor * AT(b);
-            AT(a) = value;
+            ((wide *)(a + i))[k] = value;
             sums[k] += value * (other ? AT(other) : value);
         }
     return wide_in_pairs(sums);
 }
 
 static double product_sum(const double *a, const double *b, int64_t rows) {
-    double sums[8] = {0};
+    wide sums[WIDES] = {0};
     int64_t i = 0;
-    for (; i + 8 <= rows; i += 8)
-        for (int k = 0; k < 8; k++) sums[k] += a[i + k] * b[i + k];
-    for (int k = 0; i + k < rows; k++) sums[k] += a[i + k] * b[i + k];
-    return in_pairs(sums);
+    for (; i + 8 <= rows; i += 8) EACH_WIDE sums[k] += AT(a) * AT(b);
+    double each[8];
+    numbers_of(sums, each);
+    for (int k = 0; i + k < rows; k++) each[k] += a[i + k] * b[i + k];
+    return in_pairs(each);
 }
 
 static void subtract(double *a, double factor, const double *b, int64_t rows) {
-    _Pragma("GCC ivdep") for (int64_t i = 0; i < rows; i++) a[i] -= factor * b[i];
+    EACH_ROW for (int64_t i = 0; i < rows; i++) a[i] -= factor * b[i];
 }
 
 /* Update T (side, side), the triangular factor of all previous rows, by more rows, given as n
@@ -97,7 +105,7 @@ static void update_columns(double *columns, const double *residuals, const doubl
         for (int64_t i = 0; i < rows; i++) missing[i] /= total;
         for (int64_t k = 0; k < d; k++) {
             double *column = columns + k * m + start;
-            _Pragma("GCC ivdep") for (int64_t i = 0; i < rows; i++)
+            EACH_ROW for (int64_t i = 0; i < rows; i++)
                 column[i] += missing[i] * D[k] * D[k] * step[k];
         }
         memcpy(last, residuals + start, rows * sizeof(double));

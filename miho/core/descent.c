@@ -10,7 +10,7 @@
 static void to_units(const problem *p, const double *x, double *theta) {
     for (int64_t k = 0; k < p->d; k++) {
         double value = p->origin[k] + p->width[k] * x[k];
-        if (p->log[k]) value = exp_of(value);
+        if (p->log[k]) value = exp_one(value);
         theta[k] = between(p->low[k], value, p->high[k]);
     }
 }
@@ -40,7 +40,7 @@ static double solve_linear(search *s, candidate *c) {
         int64_t k = p->linear[j];
         double value = w->theta[k] + (p->high[k] - p->low[k]) * w->step[j];
         value = between(p->low[k], value, p->high[k]);
-        if (p->log[k]) value = log_of(value);
+        if (p->log[k]) value = log_one(value);
         c->trial[k] = between(0.0, (value - p->origin[k]) / p->width[k], 1.0);
     }
     return square / (double)s->m;
@@ -74,7 +74,7 @@ static int is_linear(const problem *p, int64_t k) {
 
 /* Convert derivatives in units to a coordinate with this width. */
 static void scale_column(const double *slopes, double width, int64_t rows, double *scaled) {
-    for (int64_t i = 0; i < rows; i++) scaled[i] = slopes[i] * width;
+    EACH_ROW for (int64_t i = 0; i < rows; i++) scaled[i] = slopes[i] * width;
 }
 
 /* Scale the columns in w.slopes into w.chunk, in the order of `take_factor`, or the linear ones

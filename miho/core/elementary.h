@@ -16,6 +16,7 @@
 #define SIGN_BIT 0x8000000000000000ull
 #define MANTISSA 0x000fffffffffffffull
 #define TO_WHOLE 0x1.8p52       /* adding and subtracting it rounds to a whole number */
+#define SMALL_ANGLE 0x1p20      /* up to here quarter turns times 33 bits are exact */
 #define ROOT_HALF 0x3fe6a09e667f3bcdull /* the bits of sqrt(1/2) */
 
 INLINE uint64_t bits_of(double x) { uint64_t bits; memcpy(&bits, &x, sizeof bits); return bits; }
@@ -127,17 +128,14 @@ INLINE double log_parts(double x, double *rest) {
     return log_ends(size, sum);
 }
 
-/* log(x) (c0 + c1). */
-INLINE double log_times(double x, double c0, double c1) {
-    double rest, L = log_parts(x, &rest), lost, p = product(L, c0, &lost);
-    double y = p + (lost + (L * c1 + rest * c0));
-    return log_ends(x, y);
+/* From the parts of log|x|; and from those of log(m) for x = 2^k m. */
+INLINE double log10_from(double x, double L, double L_rest) {
+    double lost, p = product(L, LN10_INVERSE_0, &lost);
+    return log_ends(x, p + (lost + (L * LN10_INVERSE_1 + L_rest * LN10_INVERSE_0)));
 }
-INLINE double log10_of(double x) { return log_times(x, LN10_INVERSE_0, LN10_INVERSE_1); }
-INLINE double log2_of(double x) {
-    double k, m = split(x, &k), rest, L = log_parts(m, &rest), lost;
-    double p = product(L, LN2_INVERSE_0, &lost);
-    return log_ends(x, k + (p + (lost + (L * LN2_INVERSE_1 + rest * LN2_INVERSE_0))));
+INLINE double log2_from(double x, double k, double L, double L_rest) {
+    double lost, p = product(L, LN2_INVERSE_0, &lost);
+    return log_ends(x, k + (p + (lost + (L * LN2_INVERSE_1 + L_rest * LN2_INVERSE_0))));
 }
 
 /* x^y from the parts of log|x|. */
@@ -209,60 +207,65 @@ INLINE double atan_of_ratio(double rise, double run) {
 INLINE double atan_of(double x) {
     return with_sign(atan_of_ratio(size_of(x), 1.0), x);
 }
-INLINE double atan2_of(double y, double x) {
+/* Below, functions in two steps: `inner` is the argument of another function, and `from` has its
+   value y. The lengths of the sides of atan2 are scaled, so that their sum is finite. */
+INLINE double atan2_scale(double y, double x) {
+    int large = (size_of(y) > 0x1p1000) | (size_of(x) > 0x1p1000);
+    return large ? 0x1p-10 : 1.0;
+}
+INLINE double atan2_from(double y, double x, double angle) {
     double rise = size_of(y), run = size_of(x);
-    double scale = (rise > 0x1p1000) | (run > 0x1p1000) ? 0x1p-10 : 1.0; /* their sum is finite */
-    double angle = atan_of_ratio(rise * scale, run * scale);
     angle = rise == 0.0 ? 0.0 : angle;
     angle = run == INFINITE ? (rise == INFINITE ? PI_QUARTER_0 : 0.0)
         : rise == INFINITE ? PI_HALF_0 : angle;
     angle = bits_of(x) >> 63 ? PI_HALF_0 * 2.0 - (angle - PI_HALF_1 * 2.0) : angle;
     return x != x ? x : y != y ? y : with_sign(angle, y);
 }
-INLINE double asin_of(double x) {
-    double size = size_of(x);
-    double y = atan_of_ratio(size, __builtin_sqrt((1.0 - size) * (1.0 + size)));
-    return size <= 1.0 ? with_sign(y, x) : x != x ? x : NOT_A_NUMBER;
+/* The other side of a triangle with hypotenuse 1. */
+INLINE double other_side(double size) { return __builtin_sqrt((1.0 - size) * (1.0 + size)); }
+INLINE double asin_from(double x, double y) {
+    return size_of(x) <= 1.0 ? with_sign(y, x) : x != x ? x : NOT_A_NUMBER;
 }
-INLINE double acos_of(double x) {
-    double size = size_of(x), root = __builtin_sqrt((1.0 - size) * (1.0 + size));
-    double y = root == 0.0 ? 0.0 : atan_of_ratio(root, size);
+INLINE double acos_from(double x, double root, double y) {
+    y = root == 0.0 ? 0.0 : y;
     y = x < 0.0 ? PI_HALF_0 * 2.0 - (y - PI_HALF_1 * 2.0) : y;
-    return size <= 1.0 ? y : x != x ? x : NOT_A_NUMBER;
+    return size_of(x) <= 1.0 ? y : x != x ? x : NOT_A_NUMBER;
 }
 
-INLINE double tanh_of(double x) {
+/* By expm1. */
+INLINE double tanh_inner(double x) {
     double size = size_of(x), up = size > 300.0 ? 600.0 : 2.0 * size;
-    double t = expm1_of(size < 1.0 ? -up : up);
-    double q = (size < 1.0 ? -t : 2.0) / (t + 2.0);
+    return size < 1.0 ? -up : up;
+}
+INLINE double tanh_from(double x, double y) {
+    double size = size_of(x), q = (size < 1.0 ? -y : 2.0) / (y + 2.0);
     return x != x ? x : with_sign(size < 1.0 ? q : 1.0 - q, x);
 }
-INLINE double sinh_of(double x) {
-    double size = size_of(x), t = expm1_of(size > 30.0 ? 30.0 : size);
-    double y = size > 22.0 ? exp_of_sum(size, 0.0, -1.0) : 0.5 * (t + t / (t + 1.0));
-    return x != x ? x : with_sign(y, x);
+INLINE double sinh_inner(double x) { double size = size_of(x); return size > 30.0 ? 30.0 : size; }
+INLINE double sinh_from(double x, double y) {
+    return x != x ? x : with_sign(0.5 * (y + y / (y + 1.0)), x);
 }
-INLINE double cosh_of(double x) {
-    double half = exp_of_sum(size_of(x), 0.0, -1.0);
-    return half + 0.25 / half;
-}
-INLINE double asinh_of(double x) {
+/* e^|x| / 2, which is finite where cosh is. */
+INLINE double half_exp(double x) { return exp_of_sum(size_of(x), 0.0, -1.0); }
+
+/* By log1p. */
+INLINE double asinh_inner(double x) {
     double size = size_of(x), square = size * size;
-    double small = log1p_of(size + square / (1.0 + __builtin_sqrt(1.0 + square)));
-    double y = size > 0x1p28 ? log_of(size) + (LN2_0 + LN2_1) : small;
-    return x != x ? x : with_sign(y, x);
+    return size + square / (1.0 + __builtin_sqrt(1.0 + square));
 }
-INLINE double acosh_of(double x) {
+INLINE double asinh_from(double x, double y) { return x != x ? x : with_sign(y, x); }
+INLINE double acosh_inner(double x) {
     double t = x - 1.0;
-    double y = x > 0x1p28 ? log_of(x) + (LN2_0 + LN2_1)
-        : log1p_of(t + __builtin_sqrt(2.0 * t + t * t));
-    return x >= 1.0 ? y : x != x ? x : NOT_A_NUMBER;
+    return t + __builtin_sqrt(2.0 * t + t * t);
 }
-INLINE double atanh_of(double x) {
+INLINE double acosh_from(double x, double y) { return x >= 1.0 ? y : x != x ? x : NOT_A_NUMBER; }
+INLINE double atanh_inner(double x) {
     double size = size_of(x), twice = 2.0 * size;
     double small = twice + twice * size / (1.0 - size), large = twice / (1.0 - size);
-    double y = 0.5 * log1p_of(size < 0.5 ? small : large);
-    return size <= 1.0 ? with_sign(y, x) : x != x ? x : NOT_A_NUMBER;
+    return size < 0.5 ? small : large;
+}
+INLINE double atanh_from(double x, double y) {
+    return size_of(x) <= 1.0 ? with_sign(0.5 * y, x) : x != x ? x : NOT_A_NUMBER;
 }
 
 INLINE double hypot_of(double x, double y) {
@@ -280,4 +283,9 @@ INLINE double largest(double a, double b) { return a != a ? a : b > a ? b : b !=
 INLINE double sign_of(double x) {
     return x != x ? x : (x > 0.0 ? 1.0 : 0.0) - (x < 0.0 ? 1.0 : 0.0);
 }
+
+/* Functions of one number, compiled once; angles may be large. */
+double exp_one(double x);
+double log_one(double x);
+double sine_cosine_one(double x, double *cosine);
 #endif

@@ -9,7 +9,7 @@
 #elif defined(__x86_64__) && defined(__GNUC__)
 #pragma GCC target("avx2")
 #endif
-#include "operations.h"
+#include "level.h"
 #if defined(__x86_64__) && defined(__clang__)
 #pragma clang attribute pop
 #endif

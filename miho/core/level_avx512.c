@@ -9,7 +9,7 @@
 #elif defined(__x86_64__) && defined(__GNUC__)
 #pragma GCC target("avx2,avx512f,avx512dq,avx512vl,avx512bw,prefer-vector-width=512")
 #endif
-#include "operations.h"
+#include "level.h"
 #if defined(__x86_64__) && defined(__clang__)
 #pragma clang attribute pop
 #endif

@@ -69,7 +69,8 @@ typedef struct {
     double *ends;               /* (brackets,): sums of squares at the ends of descents */
     solver_room solver;
     int64_t stride, longest, rows, descents;
-    const double *X, *y;        /* of this dataset */
+    int64_t first;              /* row of X of this dataset */
+    const double *y;
     double zero;                /* largest sum of squares that is 0 up to rounding */
     int stopped;
 } fitter;
@@ -81,7 +82,7 @@ static void spend(fitter *w, double operations) {
 static void set_units(const fitter *w, place *at) {
     const many_data *data = w->data;
     for (int64_t k = 0; k < data->d; k++) {
-        double value = data->log[k] ? exp_of(at->x[k]) : at->x[k];
+        double value = data->log[k] ? exp_one(at->x[k]) : at->x[k];
         at->theta[k] = at->x[k] <= w->low[k] ? data->low[k] : at->x[k] >= w->high[k]
             ? data->high[k] : between(data->low[k], value, data->high[k]);
     }
@@ -90,7 +91,7 @@ static void set_units(const fitter *w, place *at) {
 static void set_coordinates(const fitter *w, const double *theta, double *x) {
     for (int64_t k = 0; k < w->data->d; k++) {
         double value = between(w->data->low[k], theta[k], w->data->high[k]);
-        x[k] = w->data->log[k] ? log_of(value) : value;
+        x[k] = w->data->log[k] ? log_one(value) : value;
     }
 }
 
@@ -105,13 +106,14 @@ static void evaluate(fitter *w, place *at) {
     tape_start(data->tape, at->theta, w->room);
     for (int64_t start = 0; start < w->rows && !w->stopped; start += CHUNK) {
         int64_t rows = w->rows - start < CHUNK ? w->rows - start : CHUNK;
-        tape_continue(data->tape, w->X + start, data->N, rows, w->chunk, stride, w->room);
+        int64_t i = w->first + start;
+        tape_continue(data->tape, data->X, data->N, i, i + rows, w->chunk, stride, w->room);
         for (int64_t k = 0; k < d; k++) {
             double *column = w->chunk + k * stride, factor = at->theta[k];
             if (data->log[k])
-                for (int64_t i = 0; i < rows; i++) column[i] *= factor;
+                EACH_ROW for (int64_t i = 0; i < rows; i++) column[i] *= factor;
         }
-        for (int64_t i = 0; i < rows; i++) r[i] -= w->y[start + i];
+        EACH_ROW for (int64_t i = 0; i < rows; i++) r[i] -= w->y[start + i];
         for (int64_t k = 0; k < side; k++) pad(w->chunk + k * stride, rows);
         at->squares += data->tape->level->product_sum(r, r, whole(rows));
         data->tape->level->fold(at->R, side, w->chunk, stride, whole(rows), side, NULL);
@@ -267,7 +269,8 @@ static look look_at(fitter *w, int64_t start, const double *theta) {
     look at = look_of(w, start);
     if (w->is_kept && w->is_kept[start]) return at;
     tape_start(data->tape, theta, w->room);
-    tape_continue(data->tape, w->X, data->N, n, w->columns, w->longest, w->room);
+    tape_continue(data->tape, data->X, data->N, w->first, w->first + n, w->columns, w->longest,
+                  w->room);
     copy(w->columns + data->d * w->longest, at.values, n);
     for (int64_t j = 0; j < L; j++) {
         double *q = at.basis + j * w->longest;
@@ -277,7 +280,7 @@ static look look_at(fitter *w, int64_t start, const double *theta) {
         for (int64_t i = 0; i < j; i++) {
             const double *other = at.basis + i * w->longest;
             double product = at.factor[i * L + j] = level->product_sum(other, q, padded);
-            for (int64_t k = 0; k < n; k++) q[k] -= product * other[k];
+            EACH_ROW for (int64_t k = 0; k < n; k++) q[k] -= product * other[k];
         }
         double norm = sqrt(level->product_sum(q, q, padded));
         int dependent = norm <= DEPENDENT * before;
@@ -334,7 +337,7 @@ static int best_start(fitter *w, int64_t bracket) {
     for (int64_t k = bracket * size; k < (bracket + 1) * size && !w->stopped; k++) {
         const double *theta = w->starts->starts + k * data->d;
         look at = look_at(w, k, theta);
-        for (int64_t i = 0; i < w->rows; i++) w->residuals[i] = w->y[i] - at.values[i];
+        EACH_ROW for (int64_t i = 0; i < w->rows; i++) w->residuals[i] = w->y[i] - at.values[i];
         double total = level->product_sum(w->residuals, w->residuals, padded);
         for (int64_t j = 0; j < L; j++) {
             const double *basis = at.basis + j * w->longest;
@@ -426,7 +429,7 @@ static void fit_one(fitter *w, int64_t k, int64_t i, many_ends *out) {
     const many_starts *starts = w->starts;
     int64_t d = data->d, bracket = starts->brackets == 1 ? 0 : i;
     w->rows = data->ends[k + 1] - data->ends[k];
-    w->X = data->X + (data->shared ? 0 : data->ends[k]);
+    w->first = data->shared ? 0 : data->ends[k];
     w->y = data->y + data->ends[k];
     w->zero = 0.0;
     for (int64_t start = 0; start < w->rows; start += CHUNK) {

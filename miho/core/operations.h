@@ -1,91 +1,27 @@
-/* Operations of a tape on blocks of rows. Compiled once for each level, with name LEVEL. */
-#include "large_angles.h"
+/* Operations of a tape on blocks of rows, with registers of WIDTH doubles. Compiled once for each
+   level, and for one row. */
+#include "elementary.h"
 #include "tape.h"
-#include "columns.h"
-#include "variations.h"
+#include "functions.h"
 
-/* Operands and results of a block do not overlap, or are the same rows, so that rows can be
-   computed side by side. */
 #define EACH(value) \
-    _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) o[i] = (value); \
+    EVERY_ROW o[i] = (value); \
     break
 #define CASE(name, value) case OP_##name: EACH(value)
 #define PAIR(one, other, value) case OP_##one * COUNT_OF_OPERATIONS + OP_##other: EACH(value)
 
-static int any_large(const double *a, int rows) {
-    int any = 0;
-    for (int i = 0; i < rows; i++) any |= !(size_of(a[i]) < SMALL_ANGLE);
-    return any;
-}
-
-/* The three operations of an angle, for blocks with a large one. */
-static void large_angles(int op, const double *a, double *o, double *o2, int rows) {
-    for (int i = 0; i < rows; i++) {
-        double cosine, sine = any_sine_cosine(a[i], &cosine);
-        o[i] = op == OP_COS ? cosine : op == OP_TAN ? sine / cosine : sine;
-        if (op == OP_SINCOS) o2[i] = cosine;
-    }
-}
-
-static void angles(int op, const double *a, double *o, double *o2, int rows) {
-    double c;
-    if (any_large(a, rows)) {
-        large_angles(op, a, o, o2, rows);
-        return;
-    }
-    switch (op) {
-    CASE(SIN, small_sine_cosine(a[i], &c));
-    CASE(COS, (small_sine_cosine(a[i], &c), c));
-    case OP_TAN:
-        _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
-            double cosine, sine = small_sine_cosine(a[i], &cosine);
-            o[i] = sine / cosine;
-        }
-        break;
-    case OP_SINCOS:
-        _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
-            double cosine, sine = small_sine_cosine(a[i], &cosine);
-            o[i] = sine;
-            o2[i] = cosine;
-        }
-    }
-}
-
-static void log_parts_of(const double *a, double *o, double *o2, int rows) {
-    _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
-        double rest, L = log_parts(a[i], &rest);
-        o[i] = L;
-        o2[i] = rest;
-    }
-}
-
-static void floor_parts_of(const double *a, const double *b, double *o, double *o2, int rows) {
-    _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
-        double rest, L = floor_parts(a[i], b[i], &rest);
-        o[i] = L;
-        o2[i] = rest;
-    }
-}
-
 INLINE void functions(int op, const double *a, const double *b, double *o, int rows) {
     switch (op) {
-    CASE(EXP, exp_of(a[i]));
-    CASE(EXPM1, expm1_of(a[i]));
-    CASE(LOG, log_of(a[i]));
-    CASE(LOG1P, log1p_of(a[i]));
-    CASE(LOG10, log10_of(a[i]));
-    CASE(LOG2, log2_of(a[i]));
-    CASE(ASIN, asin_of(a[i]));
-    CASE(ACOS, acos_of(a[i]));
-    CASE(ATAN, atan_of(a[i]));
-    CASE(ATAN2, atan2_of(a[i], b[i]));
+    case OP_EXP: exp_of_rows(a, o, rows); break;
+    case OP_EXPM1: expm1_of_rows(a, o, rows); break;
+    case OP_LOG: log_of_rows(a, o, rows); break;
+    case OP_LOG1P: log1p_of_rows(a, o, rows); break;
+    case OP_ATAN: atan_of_rows(a, o, rows); break;
     CASE(HYPOT, hypot_of(a[i], b[i]));
-    CASE(SINH, sinh_of(a[i]));
-    CASE(COSH, cosh_of(a[i]));
-    CASE(TANH, tanh_of(a[i]));
-    CASE(ASINH, asinh_of(a[i]));
-    CASE(ACOSH, acosh_of(a[i]));
-    CASE(ATANH, atanh_of(a[i]));
+    case OP_LOG10: case OP_LOG2: logarithms(op, a, o, rows); break;
+    case OP_ASIN: case OP_ACOS: case OP_ATAN2: inverse_angles(op, a, b, o, rows); break;
+    case OP_SINH: case OP_COSH: case OP_TANH: hyperbolic(op, a, o, rows); break;
+    default: inverse_hyperbolic(op, a, o, rows);
     }
 }
 
@@ -170,39 +106,3 @@ INLINE int operate_two(const instruction *q, double *const *r, const double *sca
     }
     return 1;
 }
-
-static void run(const instruction *from, const instruction *to, double *const *registers,
-                const double *scalars, int rows) {
-    if (rows == 1) /* a constant 1 removes the loop */
-        for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, 1);
-    else
-        for (const instruction *q = from; q < to; q++) {
-            int scalar = q->op >= OP_ADD_S && q->op <= OP_S_DIV && q + 1 < to;
-            if (scalar && operate_two(q, registers, scalars, rows)) q++;
-            else operate(q, registers, scalars, rows);
-        }
-}
-
-/* Sum of (values - data)^2 in eight lanes, then in pairs, the same on every processor. */
-static double square_sum(const double *values, const double *data, int rows) {
-    double sums[8] = {0};
-    int i = 0;
-    for (; i + 8 <= rows; i += 8)
-        for (int k = 0; k < 8; k++) {
-            double r = values[i + k] - data[i + k];
-            sums[k] += r * r;
-        }
-    for (int k = 0; i + k < rows; k++) {
-        double r = values[i + k] - data[i + k];
-        sums[k] += r * r;
-    }
-    return in_pairs(sums);
-}
-
-#define JOINED(a, b) a##b
-#define NAMED(a, b) JOINED(a, b)
-#define QUOTED(a) #a
-#define TEXT(a) QUOTED(a)
-const level NAMED(level_, LEVEL) = {
-    TEXT(LEVEL), run, square_sum, product_sum, fold, update_columns, vary, vary_step,
-};

@@ -33,6 +33,9 @@ enum { OPERATIONS(AS_NAME) COUNT_OF_OPERATIONS };
 /* operand[1] of the operations from ADD_S to S_DIV is a scalar; all others are registers. */
 typedef struct { int32_t op, operand[4], result[2]; } instruction;
 
+/* Before a loop over rows, which are computed side by side. */
+#define EACH_ROW _Pragma("omp simd")
+
 /* The next multiple of eight, and the next address at the beginning of a cache line: vectors across
    two lines are slow. */
 static inline int64_t whole(int64_t rows) { return (rows + 7) / 8 * 8; }
@@ -57,6 +60,7 @@ typedef struct {
 /* The operations, compiled for one kind of processor. */
 typedef struct level {
     const char *name;
+    /* Registers have room for whole(rows) numbers, or for a single row. */
     void (*run)(const instruction *from, const instruction *to, double *const *registers,
                 const double *scalars, int rows);
     double (*square_sum)(const double *values, const double *data, int rows);
@@ -71,6 +75,9 @@ typedef struct level {
                       double *work);
 } level;
 extern const level level_baseline, level_avx2, level_avx512;
+/* `run` of all levels for one row. */
+void run_one_row(const instruction *from, const instruction *to, double *const *registers,
+                 const double *scalars);
 /* Highest level of this processor. */
 const level *highest_level(void);
 
@@ -86,7 +93,7 @@ int tape_mean_squares(const tape *t, const double *thetas, int64_t n, const meas
 /* The single result minus y at rows i to j of X (p, N), out (j - i,). */
 void tape_residuals(const tape *t, const double *theta, const double *X, int64_t N,
                     const double *y, int64_t i, int64_t j, double *out);
-/* All results at these rows, at intervals of `stride` numbers. */
+/* All results at these rows, at intervals of `stride` numbers, all of which may be written. */
 void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
                   int64_t j, double *out, int64_t stride);
 
@@ -94,9 +101,9 @@ void tape_columns(const tape *t, const double *theta, const double *X, int64_t N
 typedef struct workspace workspace;
 workspace *tape_open(const tape *t, int64_t rows);
 void tape_close(workspace *w);
-/* All results at the first rows of X, after `tape_start` at a configuration. */
+/* As `tape_columns` at rows i to j, after `tape_start` at a configuration. */
 void tape_start(const tape *t, const double *theta, workspace *w);
-void tape_continue(const tape *t, const double *X, int64_t N, int64_t rows, double *out,
+void tape_continue(const tape *t, const double *X, int64_t N, int64_t i, int64_t j, double *out,
                    int64_t stride, workspace *w);
 /* One mean square, or any number from `limit` on as soon as it is known to reach it. */
 double tape_mean_square(const tape *t, const double *theta, const measurements *d, double limit,

@@ -190,7 +190,7 @@ static void run_tape(const track_sizes *of, const population *at, workspace *roo
         for (int64_t s = 0; s < K; s++) to->X[(of->p + i) * K + s] = at->theta[s * d + i];
     double none = 0.0;
     tape_start(of->tape, &none, room);
-    tape_continue(of->tape, to->X, K, K, to->results, K, room);
+    tape_continue(of->tape, to->X, K, 0, K, to->results, K, room);
 }
 
 /* The information of the row on a parameter. */
@@ -257,13 +257,13 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
     double share = rules->number[OUTLIERS] * to->inlier + TOGETHER * (1.0 - to->inlier);
     double wide = S + rules->number[WIDTH] * r;
     if (!(fabs(e) < BEYOND && LARGEST_NOISE * wide < BEYOND * BEYOND)) { /* says nothing */
-        if (to->counts) at->weight[s] += log_of(SMALLEST);
+        if (to->counts) at->weight[s] += log_one(SMALLEST);
         to->inlier = 1.0 / LARGEST_NOISE;
         return 0.0;
     }
-    double inlier = (1.0 - share) * exp_of(-0.5 * e * e / S) / sqrt(S);
-    double both = inlier + share * exp_of(-0.5 * e * e / wide) / sqrt(wide) + SMALLEST;
-    if (to->counts) at->weight[s] += log_of(both);
+    double inlier = (1.0 - share) * exp_one(-0.5 * e * e / S) / sqrt(S);
+    double both = inlier + share * exp_one(-0.5 * e * e / wide) / sqrt(wide) + SMALLEST;
+    if (to->counts) at->weight[s] += log_one(both);
     double kept = inlier / both;
     kept = kept > 1.0 / LARGEST_NOISE ? kept : 1.0 / LARGEST_NOISE;
     to->inlier = kept < to->inlier ? kept : to->inlier;
@@ -291,7 +291,7 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
 static double evidence_of(const track_sizes *of, const rules_of *rules, const desk *at) {
     double usable = 0.0;
     for (int64_t o = 0; o < of->m; o++) usable += isnan(at->y[o]) ? 0.0 : 1.0;
-    return -log_of(rules->number[OUTLIERS]) - (usable - 1.0) * log_of(TOGETHER);
+    return -log_one(rules->number[OUTLIERS]) - (usable - 1.0) * log_one(TOGETHER);
 }
 
 /* Weigh and improve a hypothesis by all outputs. */
@@ -308,7 +308,7 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
     }
     for (int64_t k = 0; k < of->m * each; k++)
         if (k % each <= d && !isfinite(to->results[k * of->K + s])) {
-            at->weight[s] += log_of(SMALLEST);
+            at->weight[s] += log_one(SMALLEST);
             return;
         }
     to->inlier = 1.0;
@@ -367,12 +367,12 @@ static int64_t judge(const track_sizes *of, population *at, const rules_of *rule
         if (at->weight[s] <= EMPTY) continue;
         double weight = at->weight[s] - top;
         at->weight[s] = weight > LEAST_WEIGHT ? weight : LEAST_WEIGHT;
-        *(is_change(of, at, rules, s) ? &changed : &same) += exp_of(at->weight[s]);
+        *(is_change(of, at, rules, s) ? &changed : &same) += exp_one(at->weight[s]);
         int early = !(at->born[s] > at->number[SINCE]);
         if (early && (*first < 0 || at->weight[s] > at->weight[*first])) *first = s;
     }
     if (*first < 0) *first = best;
-    at->number[ODDS] = log_of(changed / same);
+    at->number[ODDS] = log_one(changed / same);
     if (at->number[CLOCK] < at->number[QUIET_UNTIL]) at->number[SINCE] = at->number[ROW];
     else if (at->number[ODDS] > rules->number[THRESHOLD]) {
         at->number[ALARM] = 1.0;
@@ -403,7 +403,7 @@ static void bear(const track_sizes *of, population *at, const rules_of *rules, i
     int second = fmod(at->number[TURN], 2.0) == 1.0;
     at->drift[slot] = rules->number[second ? MIDDLE : LONG];
     at->born[slot] = at->number[ROW];
-    at->weight[slot] = log_of(rules->number[HAZARD]);
+    at->weight[slot] = log_one(rules->number[HAZARD]);
     at->number[TURN] += 1.0;
 }
 
@@ -415,7 +415,7 @@ static void write_estimate(const track_sizes *of, const double *numbers, double 
     double *to = estimate, total = 0.0;
     double *mean = next(&to, d), *covariance = next(&to, d * d), *weights = next(&to, K);
     double *means = next(&to, K * d), *deviations = next(&to, K * d);
-    for (int64_t s = 0; s < K; s++) total += weights[s] = exp_of(at.weight[s]);
+    for (int64_t s = 0; s < K; s++) total += weights[s] = exp_one(at.weight[s]);
     memset(mean, 0, (size_t)(d + d * d) * sizeof(double));
     for (int64_t s = 0; s < K; s++) {
         weights[s] /= total;
@@ -482,7 +482,7 @@ static double erf_of(double x) {
     double t = 1.0 / (1.0 + 0.3275911 * fabs(x));
     double sum = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 +
                  t * 1.061405429))));
-    return with_sign(1.0 - sum * exp_of(-x * x), x);
+    return with_sign(1.0 - sum * exp_one(-x * x), x);
 }
 
 /* Probability within x of the centre of number i, of all weights that count, and its derivative. */
@@ -497,7 +497,7 @@ static double probability_within(const mixture *of, double centre, double x, int
         double a = (x - away) / width, b = (x + away) / width;
         total += of->weights[s];
         sum += of->weights[s] * 0.5 * (erf_of(a) + erf_of(b));
-        slope += of->weights[s] * (exp_of(-a * a) + exp_of(-b * b)) / (width * ROOT_PI);
+        slope += of->weights[s] * (exp_one(-a * a) + exp_one(-b * b)) / (width * ROOT_PI);
     }
     *density = slope / total;
     return sum / total;

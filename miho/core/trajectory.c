@@ -62,7 +62,7 @@ static void call(function *f, double now, const double *u) {
     t->level->run(t->code, t->code + t->once, f->each_scalar, f->scalars, 1);
     for (int k = 0; k < t->fills; k++) {
         double *o = f->registers[t->fill[2 * k]], value = f->scalars[t->fill[2 * k + 1]];
-        for (int i = 0; i < f->rows; i++) o[i] = value;
+        EACH_ROW for (int i = 0; i < f->rows; i++) o[i] = value;
     }
     t->level->run(t->code + t->once, t->code + t->once + t->length, f->registers, f->scalars,
                   f->rows);
@@ -131,14 +131,14 @@ static void advance(values *v, const course *c, int64_t j, int64_t substep, doub
     for (int stage = 0; stage < 4; stage++) { /* at 0, 1/2, 1/2 and 1 of the step */
         double ahead = (stage + 1) / 2 / 2.0, weight = stage == 1 || stage == 2 ? h / 3 : h / 6;
         if (stage)
-            for (int64_t i = 0; i < size; i++) v->at[i] = v->x[i] + ahead * h * v->dx[i];
+            EACH_ROW for (int64_t i = 0; i < size; i++) v->at[i] = v->x[i] + ahead * h * v->dx[i];
         if (stage != 2) {
             inputs_at(c, j, ((double)substep + ahead) / (double)c->substeps, v->u);
             now = c->t[j] + ((double)substep + ahead) * h;
         }
         if (points) note(v, c, now, v->at, points + stage);
         call(&v->rates, now, v->u);
-        for (int64_t i = 0; i < size; i++) v->after[i] += weight * v->dx[i];
+        EACH_ROW for (int64_t i = 0; i < size; i++) v->after[i] += weight * v->dx[i];
     }
     memcpy(v->x, v->after, size * sizeof(double));
 }
@@ -156,11 +156,12 @@ static void follow(const course *c, visitor *v) {
     }
 }
 
-/* Values of some parameter rows, into out (rows, R). */
+/* Values of some parameter rows, into out (rows, R). Further rows fill the last registers. */
 typedef struct {
     visitor is;
     const course *c;
     values now;
+    int rows;
     double *out;
 } simulation;
 
@@ -180,7 +181,7 @@ static void observe_simulation(visitor *is, int64_t j) {
     for (int64_t r = c->first[j]; r < c->first[j + 1]; r++) {
         int64_t row = c->rows[r];
         const double *y = s->now.y + c->output[row] * s->now.rows;
-        for (int i = 0; i < s->now.rows; i++) s->out[i * c->R + row] = y[i];
+        for (int i = 0; i < s->rows; i++) s->out[i * c->R + row] = y[i];
     }
 }
 
@@ -188,11 +189,12 @@ int trajectory_solve(const motion *m, const course *c, const double *thetas, int
                      double *out) {
     for (int64_t block = 0; block < n; block += LANES) {
         int rows = n - block < LANES ? (int)(n - block) : LANES;
-        simulation s = {{begin_simulation, step_simulation, observe_simulation}, c};
-        int done = take_values(m, c, rows, &s.now);
-        s.out = out + block * c->R;
+        simulation s = {.is = {begin_simulation, step_simulation, observe_simulation}, .c = c,
+                        .rows = rows, .out = out + block * c->R};
+        int all = rows == 1 ? 1 : (int)whole(rows), done = take_values(m, c, all, &s.now);
         for (int64_t k = 0; done && k < c->d; k++)
-            for (int i = 0; i < rows; i++) s.now.p[k * rows + i] = thetas[(block + i) * c->d + k];
+            for (int i = 0; i < all; i++)
+                s.now.p[k * all + i] = thetas[(block + (i < rows ? i : 0)) * c->d + k];
         if (done) follow(c, &s.is);
         drop_values(&s.now);
         if (!done) return 0;

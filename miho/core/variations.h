@@ -45,9 +45,9 @@ static void vary_step(const slopes *of, const double *values, double h, double *
     for (int stage = 0; stage < 4; stage++) {
         double ahead = (stage + 1) / 2 / 2.0 * h, weight = stage == 1 || stage == 2 ? h / 3 : h / 6;
         if (stage)
-            _Pragma("GCC ivdep") for (int64_t k = 0; k < size; k++) at[k] = x[k] + ahead * dx[k];
+            EACH_ROW for (int64_t k = 0; k < size; k++) at[k] = x[k] + ahead * dx[k];
         chain(of, values + stage, at, direct + stage * size, dx);
-        _Pragma("GCC ivdep") for (int64_t k = 0; k < size; k++) after[k] += weight * dx[k];
+        EACH_ROW for (int64_t k = 0; k < size; k++) after[k] += weight * dx[k];
     }
     memcpy(x, after, size * sizeof(double));
 }

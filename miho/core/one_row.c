@@ -1,12 +1,24 @@
-/* Sines and cosines of large angles, one at a time: x times 2 / pi with 192 bits after the whole
-   turns (Payne and Hanek 1983). */
-#ifndef MIHO_LARGE_ANGLES_H
-#define MIHO_LARGE_ANGLES_H
+/* Functions of one row or number at a time, which all levels share. Large angles: x times 2 / pi
+   with 192 bits after the whole turns (Payne and Hanek 1983). */
+#define WIDTH 1
+#include "operations.h"
 
-#include "elementary.h"
-
-#define SMALL_ANGLE 0x1p20  /* up to here quarter turns times 33 bits are exact */
 #define WORDS 6
+
+double exp_one(double x) {
+    exp_of_rows(&x, &x, 1);
+    return x;
+}
+
+double log_one(double x) {
+    log_of_rows(&x, &x, 1);
+    return x;
+}
+
+void run_one_row(const instruction *from, const instruction *to, double *const *registers,
+                 const double *scalars) {
+    for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, 1);
+}
 
 /* Product modulo 4 of a large x and 2 / pi, as a number of 192 bits, two of them whole, with the
    highest word first. */
@@ -62,11 +74,10 @@ static uint64_t large_quarter_turns(double x, double *r, double *rest) {
     return x < 0.0 ? 4 - (n & 3) : n;
 }
 
-static double any_sine_cosine(double x, double *cosine) {
+double sine_cosine_one(double x, double *cosine) {
     if (size_of(x) < SMALL_ANGLE) return small_sine_cosine(x, cosine);
     if (!(size_of(x) < INFINITE)) return *cosine = NOT_A_NUMBER;
     double r, rest;
     uint64_t n = large_quarter_turns(x, &r, &rest);
     return sine_cosine(n, r, rest, cosine);
 }
-#endif
