@@ -134,7 +134,9 @@ static void list_improvement(search *s, double loss, int64_t more) {
 /* Bring a candidate to its next evaluation, and make it; returns RUNNING, or how this ended. */
 static int make_step(search *s, candidate *c) {
     const problem *p = &s->p;
-    if (!prepare(s, c)) return FINISHED;
+    int needs = prepare(s, c);
+    if (is_stopped(s)) return PAUSED;
+    if (!needs) return FINISHED;
     int64_t stage = c->has->stage, m = s->m;
     int project = c->has->projects && stage != RECORD;
     int64_t cost = stage == SLOPES ? m * s->settings.slope_cost
@@ -168,7 +170,7 @@ static int make_step(search *s, candidate *c) {
 }
 
 /* Give a candidate its steps, one evaluation after the other, until it needs none. A step that is
-   stopped is undone; it has not moved the candidate. */
+   stopped is undone, unless it has moved the candidate and only its factor is left. */
 int descend(search *s, int64_t i) {
     candidate c = candidate_at(s, i);
     int ended = RUNNING;
@@ -180,11 +182,12 @@ int descend(search *s, int64_t i) {
         memcpy(tally, s->tally, sizeof tally);
         ended = make_step(s, &c);
         if (!is_stopped(s)) continue;
+        ended = PAUSED;
+        if (c.has->stage == FACTOR) continue;
         *c.is = numbers;
         *c.has = counts;
         s->best = best;
         memcpy(s->tally, tally, sizeof tally);
-        ended = PAUSED;
     }
     return ended;
 }

@@ -10,8 +10,8 @@
 
 #define CHUNK 512           /* rows per chunk; derivatives stay in the first-level cache */
 
-/* Stages of a candidate. */
-enum { ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE };
+/* Stages of a candidate. A stop within the factor of updated derivatives leaves FACTOR. */
+enum { FACTOR = -1, ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE };
 /* Position of a bracket, in `place`. */
 enum { PHASE, AT_LEVEL, SIZE, ACTIVE, STORED, PLACES };
 /* Phases of a bracket. */

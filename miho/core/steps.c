@@ -82,7 +82,7 @@ static void keep_residuals(const search *s, candidate *c) {
 }
 
 /* Triangular factor of the stored derivatives and of the residuals `last`, into w.T. */
-static void refold(const search *s, const candidate *c, const double *last, watch *by) {
+static void refold(const search *s, const candidate *c, const double *last) {
     int64_t d = s->p.d, m = s->m;
     memset(s->w.T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
     for (int64_t start = 0; start < m; start += CHUNK) {
@@ -91,22 +91,35 @@ static void refold(const search *s, const candidate *c, const double *last, watc
             copy(c->derivatives + k * m + start, s->w.chunk + k * CHUNK, rows);
         copy(last + start, s->w.chunk + d * CHUNK, rows);
         for (int64_t k = 0; k <= d; k++) pad(s->w.chunk + k * CHUNK, rows);
-        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, whole(rows), d + 1, by);
+        s->p.sums->fold(s->w.T, d + 1, s->w.chunk, CHUNK, whole(rows), d + 1,
+                       s->w.solver.by);
     }
 }
 
-/* Broyden update of the derivatives after a trial, in the metric of the scales D, and their
-   factor. The update cannot be undone, so that nothing stops it. */
-static void take_secant(search *s, candidate *c) {
-    int64_t d = s->p.d, m = s->m;
+/* Broyden update of the derivatives after a trial, in the metric of the scales D. It cannot be
+   undone. */
+static void take_secant(const search *s, const candidate *c) {
+    int64_t d = s->p.d;
     double total = 0.0;
     for (int64_t k = 0; k < d; k++) {
         double scaled = c->D[k] * (c->trial[k] - c->x[k]);
         s->w.step[k] = c->trial[k] - c->x[k];
         total += scaled * scaled;
     }
-    s->p.sums->update_columns(c->derivatives, s->w.residuals, s->w.step, c->D, total, d, m);
-    refold(s, c, c->derivatives + d * m, NULL);
+    s->p.sums->update_columns(c->derivatives, s->w.residuals, s->w.step, c->D, total, d, s->m);
+}
+
+/* Factor of the updated derivatives at the position of a candidate. */
+static void factor_secant(search *s, candidate *c) {
+    c->has->stage = FACTOR;
+    refold(s, c, c->derivatives + s->p.d * s->m);
+    if (is_stopped(s)) return;
+    take_factor(s, c);
+    if (c->has->stage == UNUSABLE) {
+        c->has->stage = SLOPES;
+        c->has->secants = 0;
+    }
+    if (c->is->loss <= s->rules.rounding) c->has->stage = DONE;
 }
 
 /* Move a candidate to its trial, whose gain is rho times the predicted one. */
@@ -122,16 +135,10 @@ static void accept(search *s, candidate *c, double loss, double rho) {
     if (rho > GOOD) c->is->damping = larger(LESS * c->is->damping, SMALLEST_DAMPING);
     else if (rho < POOR) c->is->damping *= MORE;
     c->is->growth = 2.0;
-    c->has->stage = SLOPES;
-    if (secant) {
-        c->has->secants++;
-        take_factor(s, c);
-        if (c->has->stage == UNUSABLE) {
-            c->has->stage = SLOPES;
-            c->has->secants = 0;
-        }
-    }
-    if (loss <= s->rules.rounding) c->has->stage = DONE;
+    c->has->stage = loss <= s->rules.rounding ? DONE : SLOPES;
+    if (!secant) return;
+    c->has->secants++;
+    factor_secant(s, c);
 }
 
 /* Limits of a step along each coordinate: the box, and `reach`. */
@@ -165,7 +172,7 @@ static int correct_trial(search *s, candidate *c) {
     int64_t d = s->p.d, side = d + 1;
     if (!c->derivatives || c->has->projects || c->has->secants) return 0;
     /* Q' (r + b) from the residuals of the trial. */
-    refold(s, c, w->residuals, w->solver.by);
+    refold(s, c, w->residuals);
     if (is_stopped(s)) return 0;
     for (int64_t k = 0; k < d; k++) {
         double *q = w->T + k * side + d;
@@ -318,6 +325,7 @@ static int crawls(const search *s, candidate *c) {
 
 /* Bring a candidate to its next evaluation; 0 if it needs none in this block. */
 int prepare(search *s, candidate *c) {
+    if (c->has->stage == FACTOR && c->derivatives) factor_secant(s, c);
     while (!is_stopped(s) && (c->has->stage == SLOPES || c->has->stage == READY)) {
         if (c->has->stage == READY && nears_known_minimum(s, c)) c->has->stage = AT_KNOWN;
         else if (c->has->trials >= s->rules.steps || crawls(s, c)) return 0;
