@@ -78,8 +78,8 @@ machine = Extension(
     [str(CORE / f"{name}.c") for name in
      ("module", "module_arrays", "module_climb", "module_many", "module_search", "module_track",
       "module_trajectory", "module_triangular", "evaluate", "climb", "triangular", "steps",
-      "descent", "bracket", "many", "track", "trajectory", "one_row", "level_baseline",
-      "level_avx2", "level_avx512")],
+      "descent", "bracket", "many", "many_descent", "many_starts", "track", "mixture",
+      "trajectory", "one_row", "level_baseline", "level_avx2", "level_avx512")],
     depends=[str(path) for path in sorted(CORE.glob("*.h"))],
     extra_compile_args=FLAGS,
     extra_link_args=["-Wl,-s"] if sys.platform == "linux" else [],  # without names of functions
