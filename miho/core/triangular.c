@@ -75,7 +75,8 @@ static void solve_free(const box_problem *b, const double *s, const solver_room 
     for (int64_t k = 0; k < n; k++)
         if (room->free[k] == DEPENDENT) room->free[k] = 1.0;
     int64_t count = factor_of_free(b, s, room);
-    while (!stops_after(0.0, room->by) && !independent(n, count, room)) count = factor_of_free(b, s, room);
+    while (!stops_after(0.0, room->by) && !independent(n, count, room))
+        count = factor_of_free(b, s, room);
     for (int64_t j = count - 1; j >= 0; j--) {
         double right = -T[j * side + count];
         for (int64_t k = j + 1; k < count; k++) right -= T[j * side + k] * solution[k];
