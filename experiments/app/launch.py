@@ -7,7 +7,6 @@ composition takes a tenth of a second.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -155,9 +154,11 @@ def _is_of(text: str, keys: Sequence[str]) -> bool:
 def _typed(config: DictConfig) -> list[str]:
     """Folders of options and overrides of the whole multirun, for its record in the root."""
     sources = config.hydra.runtime.config_sources
-    folders = [source.path for source in sources if source.provider == "command-line"]
+    folders = [Path(source.path) for source in sources if source.provider == "command-line"]
+    here = Path.cwd()
+    folders = [path.relative_to(here) if path.is_relative_to(here) else path for path in folders]
     overrides = [x for x in config.hydra.overrides.task if not _is_of(x, ("fresh", "sweep"))]
-    return [*(f"--config-dir={os.path.relpath(folder)}" for folder in folders), *overrides]
+    return [*(f"--config-dir={folder}" for folder in folders), *overrides]
 
 
 def set_aside_disturbed(plan: Sequence[Request]) -> None:
