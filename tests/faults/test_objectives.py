@@ -246,7 +246,7 @@ class Generous(Optimizer):
     """Asks the problem behind the oracle's back."""
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        oracle._problem.loss(oracle.space.decode(oracle.space.sample(10, rng)))
+        oracle._values._problem.loss(oracle.space.decode(oracle.space.sample(10, rng)))
         RandomSearch().run(oracle, rng)
 
 
