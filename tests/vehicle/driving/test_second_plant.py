@@ -20,7 +20,7 @@ from tests.vehicle.driving.cars import car
 pytest.importorskip("vehiclemodels")
 
 SHARE = 0.7
-"""Of the tires' grip that is planned with. The tracker holds 0.26 m, and 0.34 m with 0.75; with
+"""Of the tires' grip that is planned with. The tracker holds 0.26 m, and 0.33 m with 0.75; with
 0.85 the model spins on the brakes at the entry of a turn."""
 
 
