@@ -18,9 +18,17 @@
 static int on_all_rows(const search *s) { return s->place[AT_LEVEL] == s->p.levels - 1; }
 static int64_t rows_of_level(const search *s) { return s->p.level_rows[s->place[AT_LEVEL]]; }
 
+static double *numbers_at(const search *s, int64_t i) {
+    return s->numbers + i * (4 * s->p.d + NUMBERS + s->p.levels);
+}
+
+static double loss_at(const search *s, int64_t i) {
+    return ((candidate_numbers *)(numbers_at(s, i) + 4 * s->p.d))->loss;
+}
+
 candidate candidate_at(const search *s, int64_t i) {
     int64_t d = s->p.d, m = s->place[STORED];
-    double *row = s->numbers + i * (4 * d + NUMBERS + s->p.levels);
+    double *row = numbers_at(s, i);
     return (candidate){
         .x = row, .trial = row + d, .q = row + 2 * d, .D = row + 3 * d,
         .sums = row + 4 * d + NUMBERS,
@@ -123,7 +131,7 @@ static void sort_usable(search *s) {
         candidate c = candidate_at(s, i);
         if (c.has->stage == UNUSABLE || !isfinite(c.is->loss)) continue;
         int64_t k = count++;
-        for (; k && candidate_at(s, s->order[k - 1]).is->loss > c.is->loss; k--)
+        for (; k && loss_at(s, s->order[k - 1]) > c.is->loss; k--)
             s->order[k] = s->order[k - 1];
         s->order[k] = i;
     }

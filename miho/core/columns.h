@@ -100,9 +100,9 @@ static void update_columns(double *columns, const double *residuals, const doubl
     for (int64_t start = 0; start < m; start += MOST_ROWS) {
         int64_t rows = m - start < MOST_ROWS ? m - start : MOST_ROWS;
         double *last = columns + d * m + start;
-        for (int64_t i = 0; i < rows; i++) missing[i] = residuals[start + i] - last[i];
+        EACH_ROW for (int64_t i = 0; i < rows; i++) missing[i] = residuals[start + i] - last[i];
         for (int64_t k = 0; k < d; k++) subtract(missing, step[k], columns + k * m + start, rows);
-        for (int64_t i = 0; i < rows; i++) missing[i] /= total;
+        EACH_ROW for (int64_t i = 0; i < rows; i++) missing[i] /= total;
         for (int64_t k = 0; k < d; k++) {
             double *column = columns + k * m + start;
             EACH_ROW for (int64_t i = 0; i < rows; i++)

@@ -27,9 +27,9 @@ static double *copy_of(const workspace *w, int k) { return w->copies + (size_t)k
 static void fill(const tape *t, int constants, workspace *w) {
     for (int k = 0; k < t->fills; k++) {
         int32_t from = t->fill[2 * k + 1];
-        double *o = w->registers[t->fill[2 * k]];
+        double *o = w->registers[t->fill[2 * k]], value = w->scalars[from];
         if ((from < t->constants) == constants)
-            EACH_ROW for (int i = 0; i < w->rows; i++) o[i] = w->scalars[from];
+            EACH_ROW for (int i = 0; i < w->rows; i++) o[i] = value;
     }
 }
 
