@@ -84,6 +84,21 @@ def everything(x: Any, z: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @needs_machine
+@pytest.mark.parametrize("rows", [*range(1, 26), 255, 257, 300])
+def test_any_number_of_rows_gives_the_bits_of_more_rows(rows: int) -> None:
+    """Registers are computed as a whole; beyond the rows nothing is read or written."""
+    rng = np.random.default_rng(0)
+    X, thetas = rng.uniform(0.2, 0.8, (2, 320)), rng.uniform(0.2, 0.8, (2, 3))
+    for tape in traced(everything, 2, 3):
+        for level in range(len(machine().levels())):
+            held = tape.at_level(level)
+            more, out = np.empty((2, tape.results, 320)), np.empty((2, tape.results, rows))
+            machine().evaluate(held, thetas, X, more)
+            machine().evaluate(held, thetas, np.ascontiguousarray(X[:, :rows]), out)
+            np.testing.assert_array_equal(out, more[:, :, :rows])
+
+
+@needs_machine
 @pytest.mark.parametrize("rows", [1, 7, 127, 128, 129, 255, 256, 257, 1000])
 def test_the_machine_is_numpys_on_every_operation(rows: int) -> None:
     rng = np.random.default_rng(rows)
