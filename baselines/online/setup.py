@@ -164,7 +164,7 @@ class Setup:
         else:
             each = np.empty((len(flat), m, 1 + d + q))
             for k, (theta, row) in enumerate(zip(flat, rows, strict=True)):
-                made = self.formula.at(theta[None], row)
+                made = self.formula.at(theta[None], row[None])
                 each[k, :, 0], each[k, :, 1 : 1 + d] = made.values[:, 0], made.parameters[:, 0]
                 each[k, :, 1 + d :] = made.inputs[:, 0]
             each = each.reshape(*shape, m, 1 + d + q)

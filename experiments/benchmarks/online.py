@@ -164,11 +164,10 @@ def bars(frame: pd.DataFrame) -> list[Bar]:
         judged.append(Bar(f"{name}: error on jumps / best peer's", ratio, AT_MOST, 0.7))
         most = own[prefix + "most alarms"]
         judged.append(Bar(f"{name}: alarms of one change", most, AT_MOST, 1))
-        scaled = " scaled" if prefix else ""
         for column in ("before", "after", "mixed"):
-            value = own[prefix + column + scaled]
-            judged.append(Bar(f"{name}: coverage {column}{scaled}", value, AT_LEAST, 0.92))
-            judged.append(Bar(f"{name}: coverage {column}{scaled}", value, AT_MOST, 0.98))
+            value = own[prefix + column]
+            judged.append(Bar(f"{name}: coverage {column}", value, AT_LEAST, 0.92))
+            judged.append(Bar(f"{name}: coverage {column}", value, AT_MOST, 0.98))
     judged += [
         Bar("tire: delay, 10 %, with outliers", own["10 % outliers"], AT_MOST, 0.26, "s"),
         Bar("tire: coverage in ramps", own["ramp"], AT_LEAST, 0.85),

@@ -71,7 +71,7 @@ def derive_trajectory(
 ) -> None: ...
 def track(
     tape: Any,
-    sizes: tuple[int, int, int, int, int],
+    sizes: tuple[int, int, int, int, int, int],
     rules: Array,
     row: Array,
     memory: Array,

@@ -2,13 +2,13 @@
 #include "module_arrays.h"
 #include "track.h"
 
-/* (K, d, m, p, q), which the tape must have. */
+/* (K, d, m, p, q, n), which the tape must have. */
 static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_sizes *to) {
-    int64_t *each[] = {&to->K, &to->d, &to->m, &to->p, &to->q};
+    int64_t *each[] = {&to->K, &to->d, &to->m, &to->p, &to->q, &to->n};
     if (!PyCapsule_IsValid(capsule, "tape")) return refuse(all, "the first argument is no tape");
     to->tape = PyCapsule_GetPointer(capsule, "tape");
-    for (int k = 0; k < 5; k++) {
-        PyObject *size = field_of(all, sizes, k, 5, "sizes");
+    for (int k = 0; k < 6; k++) {
+        PyObject *size = field_of(all, sizes, k, 6, "sizes");
         if (!size) return 0;
         *each[k] = PyLong_AsLongLong(size);
         if (PyErr_Occurred()) return 0;
@@ -16,6 +16,8 @@ static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_siz
             return refuse(all, "a size is out of bounds");
     }
     if (to->q > to->p) return refuse(all, "expected no more noise than inputs");
+    if (to->n > to->q || to->n > to->m)
+        return refuse(all, "expected no more states than outputs and inputs with noise");
     if (to->tape->inputs != to->p + to->d || to->tape->parameters ||
         to->tape->results != to->m * (1 + to->d + to->q))
         return refuse(all, "the tape has other columns or results than expected");
@@ -23,7 +25,7 @@ static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_siz
 }
 
 const char track_doc[] =
-    "track(tape, sizes (K, d, m, p, q), rules, row (p + m + 1,), memory, estimate): update the "
+    "track(tape, sizes (K, d, m, p, q, n), rules, row (p + m + 1,), memory, estimate): update the "
     "memory by a row, and fill the estimate. See track.h.";
 PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 6) return PyErr_Format(PyExc_TypeError, "track takes 6 arguments");

@@ -13,33 +13,35 @@
 #define BEYOND 1e150           /* errors and deviations whose squares leave the range of doubles */
 #define RISE 1.02
 #define TOGETHER 0.5
+#define OVER 0.01              /* share of a burst that no longer counts */
 
 enum { ROW, CLOCK, LAST_TIME, SINCE, QUIET_UNTIL, TURN, ODDS, ALARM, GAIN, NUMBERS };
 enum { HAZARD, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
-       GAP, EVERY, CAP, RULES };
+       GAP, EVERY, CAP, STEP_ERROR, BURST, SETTLE, RULES };
 
 typedef struct {
     const double *number, *unit, *low, *high, *watched, *sigma, *noise;
 } rules_of;
 
 typedef struct {
-    double *number, *theta, *P, *share, *weight, *drift, *born, *was, *peak, *informed, *mean,
-        *variance, *last, *repeats;
+    double *number, *theta, *P, *share, *weight, *drift, *calm, *born, *was, *peak, *informed,
+        *mean, *variance, *last, *repeats, *measured;
 } population;
 
-/* Room for one update: columns and results of the tape, inputs and their noise, usable outputs, and
-   shares of the variance that are new. The others are of one hypothesis. */
+/* Room for one update: columns and results of the tape, inputs and their noise, usable outputs,
+   shares of the variance that are new, and units of parameters and states. The others are of one
+   hypothesis. */
 typedef struct {
-    double *X, *results, *row, *noise, *y, *grown;
-    double *before, *taught, *Pj, *step;
+    double *X, *results, *row, *noise, *y, *grown, *unit;
+    double *before, *taught, *Pj, *step, *onward, *carried;
     uint8_t *teaches, *is_free;
     double inlier;
     int any, counts;
 } desk;
 
 int64_t length_of_memory(const track_sizes *of) {
-    int64_t K = of->K, d = of->d;
-    return NUMBERS + K * (d * d + 3 * d + 3) + 2 * d + 2 * of->q + 2 * (of->q + of->m);
+    int64_t K = of->K, d = of->d, D = d + of->n;
+    return NUMBERS + K * (D * D + D + 2 * d + 4) + 2 * d + 2 * of->q + 2 * (of->q + of->m) + of->n;
 }
 int64_t length_of_rules(const track_sizes *of) { return RULES + 4 * of->d + of->m + of->q; }
 int64_t length_of_estimate(const track_sizes *of) {
@@ -53,15 +55,16 @@ static double *next(double **at, int64_t n) {
 }
 
 static population population_in(const track_sizes *of, double *memory) {
-    int64_t K = of->K, d = of->d, q = of->q, seen = q + of->m;
+    int64_t K = of->K, d = of->d, D = d + of->n, q = of->q, seen = q + of->m;
     double *at = memory;
     population p;
     p.number = next(&at, NUMBERS);
-    p.theta = next(&at, K * d);
-    p.P = next(&at, K * d * d);
+    p.theta = next(&at, K * D);
+    p.P = next(&at, K * D * D);
     p.share = next(&at, K * d);
     p.weight = next(&at, K);
     p.drift = next(&at, K);
+    p.calm = next(&at, K);
     p.born = next(&at, K);
     p.was = next(&at, K * d);
     p.peak = next(&at, d);
@@ -70,6 +73,7 @@ static population population_in(const track_sizes *of, double *memory) {
     p.variance = next(&at, q);
     p.last = next(&at, seen);
     p.repeats = next(&at, seen);
+    p.measured = next(&at, of->n);
     return p;
 }
 
@@ -80,11 +84,11 @@ static rules_of rules_in(const track_sizes *of, const double *rules) {
                       unit + 4 * d + of->m};
 }
 
-static int open_desk(const track_sizes *of, desk *to) {
-    int64_t K = of->K, d = of->d, each = 1 + d + of->q;
+static int open_desk(const track_sizes *of, const rules_of *rules, desk *to) {
+    int64_t K = of->K, d = of->d, D = d + of->n, each = 1 + d + of->q;
     int64_t columns = (of->p + d) * K, results = of->m * each * K;
-    int64_t count = columns + results + of->p + of->q + of->m + K * d + 4 * d;
-    double *at = malloc((size_t)count * sizeof(double) + (size_t)(K + d));
+    int64_t count = columns + results + of->p + of->q + of->m + K * d + d + (4 + 2 * of->n) * D;
+    double *at = malloc((size_t)count * sizeof(double) + (size_t)(K + D));
     if (!at) return 0;
     to->X = next(&at, columns);
     to->results = next(&at, results);
@@ -92,10 +96,15 @@ static int open_desk(const track_sizes *of, desk *to) {
     to->noise = next(&at, of->q);
     to->y = next(&at, of->m);
     to->grown = next(&at, K * d);
-    to->before = next(&at, d);
+    to->unit = next(&at, D);
+    to->before = next(&at, D);
     to->taught = next(&at, d);
-    to->Pj = next(&at, d);
-    to->step = next(&at, d);
+    to->Pj = next(&at, D);
+    to->step = next(&at, D);
+    to->onward = next(&at, of->n * D);
+    to->carried = next(&at, of->n * D);
+    memcpy(to->unit, rules->unit, (size_t)d * sizeof(double));
+    memcpy(to->unit + d, rules->noise, (size_t)of->n * sizeof(double));
     to->teaches = (uint8_t *)at;
     to->is_free = to->teaches + K;
     memset(to->teaches, 0, (size_t)K);
@@ -162,27 +171,52 @@ static void smooth_inputs(const track_sizes *of, population *at, const rules_of 
     }
 }
 
+/* Widen the hypotheses by their drift; the burst of a fresh one widens watched parameters only. */
 static void let_drift(const track_sizes *of, population *at, const rules_of *rules,
                       double seconds, desk *to) {
-    int64_t d = of->d;
+    int64_t d = of->d, D = d + of->n;
+    double left = exp_one(-seconds / rules->number[SETTLE]);
     for (int64_t s = 0; s < of->K; s++) {
-        double more = at->drift[s] * at->drift[s] * seconds;
+        double drift = at->drift[s], calm = at->calm[s], more = left * (drift - calm);
         if (at->weight[s] <= EMPTY) continue;
+        at->drift[s] = more > OVER * rules->number[BURST] ? calm + more : calm;
         for (int64_t i = 0; i < d; i++) {
-            double *variance = at->P + (s * d + i) * d + i;
-            double added = *variance < rules->number[CAP] ? more : 0.0;
+            double *variance = at->P + (s * D + i) * D + i;
+            double rate = rules->watched[i] > 0.0 ? drift : calm;
+            double added = *variance < rules->number[CAP] ? rate * rate * seconds : 0.0;
             *variance += added;
             to->grown[s * d + i] = added / (*variance > SMALLEST ? *variance : SMALLEST);
         }
     }
 }
 
+/* Set the state c of hypothesis s to a measured value of a variance. */
+static void set_state(const track_sizes *of, population *at, int64_t s, int64_t c, double value,
+                      double variance) {
+    int64_t D = of->d + of->n, k = of->d + c;
+    double *P = at->P + s * D * D;
+    at->theta[s * D + k] = value;
+    for (int64_t i = 0; i < D; i++) P[k * D + i] = P[i * D + k] = 0.0;
+    P[k * D + k] = variance;
+}
+
+/* States that are not the measured ones at the end of the last row begin at the row's values. */
+static void begin_states(const track_sizes *of, population *at, const rules_of *rules,
+                         const double *row, const desk *to) {
+    for (int64_t c = 0; c < of->n; c++) {
+        double share = to->noise[c] / rules->noise[c];
+        for (int64_t s = 0; row[c] != at->measured[c] && s < of->K; s++)
+            set_state(of, at, s, c, to->row[c], share * share);
+    }
+}
+
 static void run_tape(const track_sizes *of, const population *at, workspace *room, desk *to) {
-    int64_t K = of->K, d = of->d;
+    int64_t K = of->K, d = of->d, D = d + of->n;
     for (int64_t k = 0; k < of->p; k++)
-        for (int64_t s = 0; s < K; s++) to->X[k * K + s] = to->row[k];
+        for (int64_t s = 0; s < K; s++)
+            to->X[k * K + s] = k < of->n ? at->theta[s * D + d + k] : to->row[k];
     for (int64_t i = 0; i < d; i++)
-        for (int64_t s = 0; s < K; s++) to->X[(of->p + i) * K + s] = at->theta[s * d + i];
+        for (int64_t s = 0; s < K; s++) to->X[(of->p + i) * K + s] = at->theta[s * D + i];
     double none = 0.0;
     tape_start(of->tape, &none, room);
     tape_continue(of->tape, to->X, K, 0, K, to->results, K, room);
@@ -226,25 +260,39 @@ static int counts(const track_sizes *of, const population *at, const rules_of *r
     return !any;
 }
 
-/* One Gauss-Newton step by output o of hypothesis s, for a row that is an inlier with probability
-   `to->inlier`; returns the information on all parameters. */
-static double step_by(const track_sizes *of, population *at, const rules_of *rules, desk *to,
-                      int64_t o, int64_t s) {
-    int64_t d = of->d;
-    double *theta = at->theta + s * d, *P = at->P + s * d * d, *j = to->step;
-    double r = rules->sigma[o] * rules->sigma[o], S = 0.0;
-    double e = to->y[o] - result_of(of, to, o, 0, s);
-    for (int64_t k = 0; k < of->q; k++) {
-        double slope = result_of(of, to, o, 1 + d + k, s) * to->noise[k];
+/* The variance of output o by noise: of itself and of the inputs from number `first` on. */
+static double noise_of(const track_sizes *of, const rules_of *rules, const desk *at, int64_t o,
+                       int64_t s, int64_t first) {
+    double r = rules->sigma[o] * rules->sigma[o];
+    for (int64_t k = first; k < of->q; k++) {
+        double slope = result_of(of, at, o, 1 + of->d + k, s) * at->noise[k];
         r += slope * slope;
     }
-    for (int64_t i = 0; i < d; i++) {
-        j[i] = result_of(of, to, o, 1 + i, s) * rules->unit[i];
-        e -= j[i] * ((theta[i] - to->before[i]) / rules->unit[i]);
-    }
-    for (int64_t i = 0; i < d; i++) {
+    return r;
+}
+
+/* What output o says on the parameters of hypothesis s: the variance of its prediction by them, in
+   that by noise. */
+static double worth_of(const track_sizes *of, const population *at, const rules_of *rules,
+                       const desk *from, int64_t o, int64_t s) {
+    int64_t d = of->d, D = d + of->n;
+    double sum = 0.0;
+    for (int64_t i = 0; i < d; i++)
+        for (int64_t k = 0; k < d; k++)
+            sum += result_of(of, from, o, 1 + i, s) * rules->unit[i] * at->P[(s * D + i) * D + k] *
+                result_of(of, from, o, 1 + k, s) * rules->unit[k];
+    return sum / noise_of(of, rules, from, o, s, 0);
+}
+
+/* One Gauss-Newton step of hypothesis s by an error e with the slopes `to->step` and the noise r,
+   of a row that is an inlier with probability `to->inlier`; returns the share of the inlier. */
+static double step_by(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                      int64_t s, double e, double r) {
+    int64_t d = of->d, D = d + of->n;
+    double *theta = at->theta + s * D, *P = at->P + s * D * D, *j = to->step, S = 0.0;
+    for (int64_t i = 0; i < D; i++) {
         double sum = 0.0;
-        for (int64_t l = 0; l < d; l++) sum += P[i * d + l] * j[l];
+        for (int64_t k = 0; k < D; k++) sum += P[i * D + k] * j[k];
         to->Pj[i] = sum;
         S += j[i] * sum;
     }
@@ -262,23 +310,89 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
     double kept = inlier / both;
     kept = kept > 1.0 / LARGEST_NOISE ? kept : 1.0 / LARGEST_NOISE;
     to->inlier = kept < to->inlier ? kept : to->inlier;
-    double information = kept * (S / r - 1.0);
     S /= kept;
-    for (int64_t i = 0; i < d; i++) {
+    for (int64_t i = 0; i < D; i++) {
         double gain = to->is_free[i] ? to->Pj[i] / S : 0.0;
-        to->taught[i] += gain * j[i];
-        double moved = theta[i] + rules->unit[i] * gain * e;
-        moved = moved < rules->low[i] ? rules->low[i] : moved;
-        theta[i] = moved > rules->high[i] ? rules->high[i] : moved;
+        double moved = theta[i] + to->unit[i] * gain * e;
+        if (i < d) {
+            double variance = P[i * D + i] > SMALLEST ? P[i * D + i] : SMALLEST;
+            to->taught[i] += gain * (2.0 * to->Pj[i] - S * gain) / variance;
+            moved = moved < rules->low[i] ? rules->low[i] : moved;
+            moved = moved > rules->high[i] ? rules->high[i] : moved;
+        }
+        theta[i] = moved;
         to->step[i] = gain;
     }
-    for (int64_t i = 0; i < d; i++)
-        for (int64_t l = 0; l <= i; l++) {
-            double g = to->step[i], h = to->step[l];
-            P[i * d + l] += S * (g * h) - g * to->Pj[l] - to->Pj[i] * h;
-            P[l * d + i] = P[i * d + l];
+    for (int64_t i = 0; i < D; i++)
+        for (int64_t k = 0; k <= i; k++) {
+            double g = to->step[i], h = to->step[k];
+            P[i * D + k] += S * (g * h) - g * to->Pj[k] - to->Pj[i] * h;
+            P[k * D + i] = P[i * D + k];
         }
-    return information;
+    return kept;
+}
+
+/* A step by output o, which is no state; returns the share of the inlier. */
+static double step_by_output(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                             int64_t o, int64_t s) {
+    int64_t D = of->d + of->n;
+    double e = to->y[o] - result_of(of, to, o, 0, s);
+    for (int64_t i = 0; i < D; i++) {
+        to->step[i] = result_of(of, to, o, 1 + i, s) * to->unit[i];
+        e -= to->step[i] * ((at->theta[s * D + i] - to->before[i]) / to->unit[i]);
+    }
+    return step_by(of, at, rules, to, s, e, noise_of(of, rules, to, o, s, of->n));
+}
+
+/* A step by the measured state c at the end of the row; returns the share of the inlier. If the
+   value is an outlier, the state may have jumped too. */
+static double step_by_state(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                            int64_t c, int64_t s) {
+    int64_t D = of->d + of->n, k = of->d + c;
+    double r = rules->sigma[c] * rules->sigma[c], e = to->y[c] - at->theta[s * D + k];
+    double jump = 0.25 * e * e, most = rules->number[WIDTH] * r;
+    memset(to->step, 0, (size_t)D * sizeof(double));
+    to->step[k] = to->unit[k];
+    double kept = step_by(of, at, rules, to, s, e, r);
+    jump = jump < most ? jump : most;
+    at->P[(s * D + k) * D + k] += (1.0 - kept) * jump / (to->unit[k] * to->unit[k]);
+    return kept;
+}
+
+/* Move the states of hypothesis s to the end of the row. */
+static void advance(const track_sizes *of, population *at, const rules_of *rules, desk *to,
+                    int64_t s) {
+    int64_t d = of->d, n = of->n, D = d + n;
+    double *theta = at->theta + s * D, *P = at->P + s * D * D, *J = to->onward, *M = to->carried;
+    /* The states, and their slopes in units of parameters and states. */
+    for (int64_t c = 0; c < n; c++) {
+        double after = result_of(of, to, c, 0, s);
+        for (int64_t i = 0; i < D; i++) {
+            double slope = result_of(of, to, c, 1 + i, s);
+            after += slope * (theta[i] - to->before[i]);
+            J[c * D + i] = slope * to->unit[i] / to->unit[d + c];
+        }
+        to->step[c] = after;
+    }
+    memcpy(theta + d, to->step, (size_t)n * sizeof(double));
+    /* The covariance, and the error of the step. */
+    for (int64_t c = 0; c < n; c++)
+        for (int64_t i = 0; i < D; i++) {
+            double sum = 0.0;
+            for (int64_t k = 0; k < D; k++) sum += J[c * D + k] * P[k * D + i];
+            M[c * D + i] = sum;
+        }
+    for (int64_t c = 0; c < n; c++) {
+        for (int64_t i = 0; i < d; i++) P[(d + c) * D + i] = P[i * D + d + c] = M[c * D + i];
+        for (int64_t b = 0; b <= c; b++) {
+            double sum = 0.0;
+            for (int64_t k = 0; k < D; k++) sum += M[c * D + k] * J[b * D + k];
+            P[(d + c) * D + d + b] = P[(d + b) * D + d + c] = sum;
+        }
+        double more = noise_of(of, rules, to, c, s, n) - rules->sigma[c] * rules->sigma[c];
+        double error = rules->number[STEP_ERROR];
+        P[(d + c) * D + d + c] += error * error + more / (to->unit[d + c] * to->unit[d + c]);
+    }
 }
 
 /* The most that a row says on a change: minus the logarithm of the probability that all of its
@@ -292,23 +406,33 @@ static double evidence_of(const track_sizes *of, const rules_of *rules, const de
 /* Weigh and improve a hypothesis by all outputs. */
 static void learn(const track_sizes *of, population *at, const rules_of *rules, desk *to,
                   int64_t s, int is_best) {
-    int64_t d = of->d, each = 1 + d + of->q;
+    int64_t d = of->d, D = d + of->n, each = 1 + d + of->q;
     double information = 0.0;
-    for (int64_t i = 0; i < d; i++) {
+    for (int64_t i = 0; i < D; i++) {
+        to->before[i] = at->theta[s * D + i];
+        to->is_free[i] = 1;
+        if (i >= d) continue;
         int enough = information_of(of, rules, to, s, i) >= rules->number[USE] * at->peak[i];
         to->is_free[i] = enough || rules->watched[i] == 0.0;
         to->teaches[s] |= enough && rules->watched[i] > 0.0;
         to->taught[i] = 0.0;
-        to->before[i] = at->theta[s * d + i];
     }
     for (int64_t k = 0; k < of->m * each; k++)
-        if (k % each <= d && !isfinite(to->results[k * of->K + s])) {
+        if (k % each <= D && !isfinite(to->results[k * of->K + s])) {
             at->weight[s] += log_one(SMALLEST);
+            for (int64_t c = 0; c < of->n; c++) set_state(of, at, s, c, at->measured[c], 1.0);
             return;
         }
     to->inlier = 1.0;
-    for (int64_t o = 0; o < of->m; o++)
-        if (!isnan(to->y[o])) information += step_by(of, at, rules, to, o, s);
+    for (int64_t o = of->n; o < of->m; o++) {
+        double worth = is_best ? worth_of(of, at, rules, to, o, s) : 0.0;
+        if (!isnan(to->y[o])) information += worth * step_by_output(of, at, rules, to, o, s);
+    }
+    advance(of, at, rules, to, s);
+    for (int64_t c = 0; c < of->n; c++) {
+        double worth = is_best ? worth_of(of, at, rules, to, c, s) : 0.0;
+        if (!isnan(to->y[c])) information += worth * step_by_state(of, at, rules, to, c, s);
+    }
     for (int64_t i = 0; i < d; i++) {
         double *share = at->share + s * d + i, grown = to->grown[s * d + i];
         double taught = to->taught[i] > 0.0 ? to->taught[i] : 0.0;
@@ -346,7 +470,7 @@ static int is_change(const track_sizes *of, const population *at, const rules_of
                      int64_t s) {
     if (!(at->born[s] > at->number[SINCE])) return 0;
     for (int64_t i = 0; i < of->d; i++) {
-        double away = fabs(at->theta[s * of->d + i] - at->was[s * of->d + i]);
+        double away = fabs(at->theta[s * (of->d + of->n) + i] - at->was[s * of->d + i]);
         if (rules->watched[i] > 0.0 && away > rules->number[NEAR] * rules->unit[i]) return 1;
     }
     return 0;
@@ -379,24 +503,25 @@ static int64_t judge(const track_sizes *of, population *at, const rules_of *rule
 /* Put a fresh hypothesis of a jump in the place of the least likely one. */
 static void bear(const track_sizes *of, population *at, const rules_of *rules, int64_t best,
                  int64_t first) {
-    int64_t d = of->d, slot = -1;
+    int64_t d = of->d, D = d + of->n, slot = -1;
     for (int64_t s = 0; s < of->K; s++) {
         int able = s != best && s != first;
         able = able && at->number[ROW] - at->born[s] > rules->number[EVERY];
         if (able && (slot < 0 || at->weight[s] < at->weight[slot])) slot = s;
     }
     if (slot < 0) return;
-    size_t line = (size_t)d * sizeof(double);
-    const double *from = at->born[best] <= at->number[SINCE] ? at->theta : at->was;
-    memcpy(at->was + slot * d, from + best * d, line);
-    memcpy(at->theta + slot * d, at->theta + best * d, line);
-    memcpy(at->P + slot * d * d, at->P + best * d * d, (size_t)d * line);
+    size_t line = (size_t)d * sizeof(double), all = (size_t)D * sizeof(double);
+    int own = at->born[best] <= at->number[SINCE];
+    memcpy(at->was + slot * d, own ? at->theta + best * D : at->was + best * d, line);
+    memcpy(at->theta + slot * D, at->theta + best * D, all);
+    memcpy(at->P + slot * D * D, at->P + best * D * D, (size_t)D * all);
     for (int64_t i = 0; i < d; i++) {
-        at->P[(slot * d + i) * d + i] += rules->watched[i] > 0.0 ? 1.0 : 0.0;
+        at->P[(slot * D + i) * D + i] += rules->watched[i] > 0.0 ? 1.0 : 0.0;
         at->share[slot * d + i] = 1.0;
     }
-    int second = fmod(at->number[TURN], 2.0) == 1.0;
-    at->drift[slot] = rules->number[second ? MIDDLE : LONG];
+    for (int64_t c = 0; c < of->n; c++) set_state(of, at, slot, c, at->measured[c], 1.0);
+    at->calm[slot] = rules->number[fmod(at->number[TURN], 2.0) == 1.0 ? MIDDLE : LONG];
+    at->drift[slot] = at->calm[slot] + rules->number[BURST];
     at->born[slot] = at->number[ROW];
     at->weight[slot] = log_one(rules->number[HAZARD]);
     at->number[TURN] += 1.0;
@@ -406,7 +531,7 @@ static void write_estimate(const track_sizes *of, const double *numbers, double 
                            double *estimate) {
     rules_of rules = rules_in(of, numbers);
     population at = population_in(of, memory);
-    int64_t K = of->K, d = of->d;
+    int64_t K = of->K, d = of->d, D = d + of->n;
     double *to = estimate, total = 0.0;
     double *mean = next(&to, d), *covariance = next(&to, d * d), *weights = next(&to, K);
     double *means = next(&to, K * d), *deviations = next(&to, K * d);
@@ -416,29 +541,31 @@ static void write_estimate(const track_sizes *of, const double *numbers, double 
         weights[s] /= total;
         int is_long = at.drift[s] <= rules.number[LONG];
         for (int64_t i = 0; i < d; i++) {
-            double variance = at.P[(s * d + i) * d + i];
+            double variance = at.P[(s * D + i) * D + i];
             double share = is_long ? at.share[s * d + i] : 1.0;
-            mean[i] += weights[s] * at.theta[s * d + i];
+            mean[i] += weights[s] * at.theta[s * D + i];
             deviations[s * d + i] = rules.unit[i] * sqrt(share);
             means[s * d + i] = variance > 0.0 ? sqrt(variance) : 0.0;
         }
         for (int64_t i = 0; i < d && weights[s] > 0.0; i++)
             for (int64_t l = 0; l < d; l++)
-                covariance[i * d + l] += weights[s] * at.P[(s * d + i) * d + l] *
+                covariance[i * d + l] += weights[s] * at.P[(s * D + i) * D + l] *
                     deviations[s * d + i] * deviations[s * d + l];
     }
     for (int64_t s = 0; s < K; s++) {
         for (int64_t i = 0; i < d && weights[s] > 0.0; i++)
             for (int64_t l = 0; l < d; l++)
-                covariance[i * d + l] += weights[s] * (at.theta[s * d + i] - mean[i]) *
-                    (at.theta[s * d + l] - mean[l]);
-        for (int64_t i = 0; i < d; i++) deviations[s * d + i] *= means[s * d + i];
+                covariance[i * d + l] += weights[s] * (at.theta[s * D + i] - mean[i]) *
+                    (at.theta[s * D + l] - mean[l]);
+        for (int64_t i = 0; i < d; i++) {
+            deviations[s * d + i] *= means[s * d + i];
+            means[s * d + i] = at.theta[s * D + i];
+        }
     }
     for (int64_t i = 0; i < d; i++) { /* a mean of bounds is rounded */
         mean[i] = mean[i] < rules.low[i] ? rules.low[i] : mean[i];
         mean[i] = mean[i] > rules.high[i] ? rules.high[i] : mean[i];
     }
-    memcpy(means, at.theta, (size_t)(K * d) * sizeof(double));
 }
 
 int track_update(const track_sizes *of, const double *numbers, const double *row, double *memory,
@@ -446,7 +573,7 @@ int track_update(const track_sizes *of, const double *numbers, const double *row
     rules_of rules = rules_in(of, numbers);
     population at = population_in(of, memory);
     desk to;
-    if (!open_desk(of, &to)) return 0;
+    if (!open_desk(of, &rules, &to)) return 0;
     workspace *room = tape_open(of->tape, of->K);
     if (!room) { free(to.X); return 0; }
     double seconds = pass_time(&at, &rules, row[of->p + of->m]);
@@ -456,10 +583,14 @@ int track_update(const track_sizes *of, const double *numbers, const double *row
     if (to.any) {
         int64_t before = best_of(of, &at);
         smooth_inputs(of, &at, &rules, row, seconds, &to);
+        begin_states(of, &at, &rules, row, &to);
+        memcpy(at.measured, to.y, (size_t)of->n * sizeof(double));
         run_tape(of, &at, room, &to);
         note(of, &at, &rules, &to, before);
         to.counts = counts(of, &at, &rules, &to, before);
         learn_all(of, &at, &rules, &to, before);
+    } else {
+        for (int64_t c = 0; c < of->n; c++) at.measured[c] = NOT_A_NUMBER;
     }
     int64_t first, best = judge(of, &at, &rules, &first);
     int due = fmod(at.number[ROW], rules.number[EVERY]) == 0.0;

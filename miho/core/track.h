@@ -10,10 +10,11 @@
 
 /* K hypotheses of d parameters; m outputs; p inputs, the first q of which have noise. The columns of
    the tape are the inputs, then the parameters. Its results are, for each output, the value, the
-   d derivatives by the parameters, and the q derivatives by the inputs with noise. */
+   d derivatives by the parameters, and the q derivatives by the inputs with noise. The first n inputs
+   are states, and the first n outputs are the same states at the end of the row. */
 typedef struct {
     const tape *tape;
-    int64_t K, d, m, p, q;
+    int64_t K, d, m, p, q, n;
 } track_sizes;
 
 /* Lengths of the arrays of `track_update`. */

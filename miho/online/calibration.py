@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.online.population import Rules
+from miho.online.rules import Rules
 from miho.online.slopes import RowFormula
 from miho.online.state import TrackerState
 from miho.quantities import Array
@@ -155,7 +155,7 @@ def _of_row(row: Array, formula: RowFormula, rules: Rules, theta: Array) -> tupl
     """Information (d, d) and score (d,) of a row; missing outputs contribute 0."""
     m = rules.sigma.size
     inputs, outputs = row[: -1 - m], row[-1 - m : -1]
-    slopes = formula.at(theta[None], inputs)
+    slopes = formula.at(theta[None], inputs[None])
     J = slopes.parameters[:, 0] * rules.unit
     variance = rules.sigma**2 + np.sum((slopes.inputs[:, 0] * rules.noise) ** 2, axis=1)
     errors = (outputs - slopes.values[:, 0]) / np.sqrt(variance)

@@ -19,12 +19,10 @@ from miho.models.tied import Tied, tie
 from miho.models.traced import TracedExpression
 from miho.models.trajectory import Trajectory
 from miho.online.method import Rows, numbers_of
-from miho.online.outputs import TIME
+from miho.online.outputs import NEXT, TIME
 from miho.optim.space import Space
 from miho.quantities import Array
 
-NEXT = "_next"
-"""Ending of a column's name one step later."""
 STEP = "step"
 """Column of the duration of a step [s]."""
 LONGEST = 5.0

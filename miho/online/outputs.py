@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,8 @@ from miho.quantities import Array
 
 TIME = "time"
 """Column of the time of a row [s]."""
+NEXT = "_next"
+"""Ending of a column's name one step later."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +81,18 @@ class System:
     def sigma(self) -> Array:
         """Standard deviation of the errors of each output."""
         return np.array([one.sigma for one in self.outputs])
+
+    def states(self, noisy: Collection[str]) -> tuple[str, ...]:
+        """The inputs with noise whose values one step later are outputs, as `vy` and `vy_next`."""
+        names = [one.column.removesuffix(NEXT) for one in self.outputs]
+        later = zip(names, self.outputs, strict=True)
+        return tuple(name for name, one in later if name != one.column and name in noisy)
+
+    def with_first(self, states: Collection[str]) -> System:
+        """Return the same system whose first outputs are these states one step later."""
+        later = {state + NEXT for state in states}
+        outputs = sorted(self.outputs, key=lambda one: one.column not in later)
+        return replace(self, outputs=tuple(outputs))
 
 
 def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = None) -> System:

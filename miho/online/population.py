@@ -6,16 +6,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.core import machine
+from miho.online.rules import PLACE, Layout, Rules
 from miho.online.slopes import RowFormula, TapedFormula
-from miho.online.state import Change, Mixture
+from miho.online.state import Change
 from miho.quantities import Array
 
 EMPTY = -1e9
@@ -28,126 +28,12 @@ BEYOND = 1e150
 """Errors and deviations whose squares leave the range of doubles."""
 MOST_TRACKED = 64
 """Largest number of hypotheses, parameters, outputs or inputs in the machine, as in track.h."""
+OVER = 0.01
+"""Share of the drift of a fresh hypothesis that no longer counts."""
 TOGETHER = 0.5
 """Probability that an output is an outlier if another one of the row is."""
 RISE = 1.02
 """Largest rise of a parameter's best information by one row: a wrong input must not set it."""
-NUMBERS = ("row", "clock", "last_time", "since", "quiet_until", "turn", "odds", "alarm", "gain")
-"""Counters of a population. `clock` is the time that has passed [s], `since` the last row that
-counts as before a change, `gain` the information that the last row gave the best hypothesis."""
-
-
-PLACE = {name: k for k, name in enumerate(NUMBERS)}
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Sizes of a population, and the place of each of its arrays in one memory of doubles.
-
-    Parameters
-    ----------
-    K, d, m, p, q : int
-        Numbers of hypotheses, parameters, outputs, inputs, and inputs with noise, which come first.
-    """
-
-    K: int
-    d: int
-    m: int
-    p: int
-    q: int
-
-    @cached_property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the arrays, in their order."""
-        K, d, watched = self.K, self.d, self.q + self.m
-        return {
-            "numbers": (len(NUMBERS),), "theta": (K, d), "P": (K, d, d), "share": (K, d),
-            "weight": (K,), "drift": (K,), "born": (K,), "was": (K, d), "peak": (d,),
-            "informed": (d,), "mean": (self.q,), "variance": (self.q,), "last": (watched,),
-            "repeats": (watched,),
-        }  # fmt: skip
-
-    @cached_property
-    def size(self) -> int:
-        """Length of the memory."""
-        return sum(math.prod(shape) for shape in self.shapes.values())
-
-    @cached_property
-    def estimate_size(self) -> int:
-        """Length of an estimate: mean, covariance, and weights, means, deviations of hypotheses."""
-        return self.d + self.d**2 + self.K * (1 + 2 * self.d)
-
-    def estimate(self, numbers: Array) -> tuple[Array, Array, Mixture]:
-        """Mean (d,), covariance (d, d) and distribution as views of an estimate."""
-        K, d = self.K, self.d
-        at = d + d * d
-        weights, rest = numbers[at : at + K], numbers[at + K :].reshape(2, K, d)
-        return numbers[:d], numbers[d:at].reshape(d, d), Mixture(weights, rest[0], rest[1])
-
-    def views(self, memory: Array) -> dict[str, Array]:
-        """The arrays as views of a memory."""
-        made, at = {}, 0
-        for name, shape in self.shapes.items():
-            count = math.prod(shape)
-            made[name] = memory[at : at + count].reshape(shape)
-            at += count
-        return made
-
-
-@dataclass(frozen=True, eq=False)
-class Rules:
-    """Numbers by which a population is updated.
-
-    Covariances and drifts are in the `unit` of each parameter.
-
-    Parameters
-    ----------
-    hazard, outliers, width, threshold, near : float
-        As for `TrackerSettings`.
-    long, middle, short : float
-        Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
-    use, smooth, hold, repeats, gap, every, cap : float
-        As for `TrackerSettings`.
-    unit : ndarray, shape (d,)
-        Size of a jump of a watched parameter; standard deviation of another one before the first
-        row.
-    low, high : ndarray, shape (d,)
-        Bounds of the parameters.
-    watched : ndarray, shape (d,)
-        1 for a parameter that may jump, else 0.
-    sigma : ndarray, shape (m,)
-        Standard deviations of the errors of the outputs.
-    noise : ndarray, shape (q,)
-        Standard deviations of the first inputs.
-    """
-
-    hazard: float
-    outliers: float
-    width: float
-    threshold: float
-    near: float
-    long: float
-    middle: float
-    short: float
-    use: float
-    smooth: float
-    hold: float
-    repeats: float
-    gap: float
-    every: float
-    cap: float
-    unit: Array
-    low: Array
-    high: Array
-    watched: Array
-    sigma: Array
-    noise: Array
-
-    @cached_property
-    def packed(self) -> Array:
-        """All numbers in their order."""
-        numbers = [np.atleast_1d(getattr(self, field.name)) for field in fields(self)]
-        return np.concatenate(numbers).astype(float)
 
 
 class Population:
@@ -174,14 +60,17 @@ class Population:
         self.numbers, self.theta, self.P, self.share = (
             views[name] for name in ("numbers", "theta", "P", "share")
         )
-        self.weight, self.drift, self.born, self.was = (
-            views[name] for name in ("weight", "drift", "born", "was")
+        self.weight, self.drift, self.calm, self.born, self.was = (
+            views[name] for name in ("weight", "drift", "calm", "born", "was")
         )
         self.peak, self.informed, self.mean, self.variance = (
             views[name] for name in ("peak", "informed", "mean", "variance")
         )
         self.last, self.repeats = views["last"], views["repeats"]
-        sizes = layout.K, layout.d, layout.m, layout.p, layout.q
+        self.measured = views["measured"]
+        d, self.unit = layout.d, np.append(rules.unit, rules.noise[: layout.n])
+        self.parameters, self.variances = self.theta[:, :d], self.P[:, :d, :d]
+        sizes = layout.K, d, layout.m, layout.p, layout.q, layout.n
         able = by_machine and max(sizes) <= MOST_TRACKED
         tape = formula.tape.in_machine if isinstance(formula, TapedFormula) and able else None
         self._machine = None if tape is None else (machine().track, tape, sizes, rules.packed)
@@ -190,12 +79,13 @@ class Population:
         """Set three hypotheses, of long, middle and short memory, at the prior."""
         rules = self.rules
         self.memory[:] = 0.0
-        self.theta[:] = self.was[:] = theta
+        self.parameters[:] = self.was[:] = theta
         self.share[:], self.weight[:], self.born[:] = 1.0, EMPTY, -1.0
-        self.P[:3] = covariance / np.outer(rules.unit, rules.unit)
-        self.drift[:3] = rules.long, rules.middle, rules.short
+        self.variances[:3] = covariance / np.outer(rules.unit, rules.unit)
+        self.drift[:3] = self.calm[:3] = rules.long, rules.middle, rules.short
         self.weight[:3] = 0.0, -1.5, -3.0
-        self.peak[:], self.informed[:], self.last[:] = peak, -math.inf, math.nan
+        self.peak[:], self.informed[:] = peak, -math.inf
+        self.last[:] = self.measured[:] = math.nan
         self.variance[:] = math.inf
         self["since"], self["quiet_until"], self["last_time"] = -1.0, -math.inf, math.nan
         self["odds"] = LEAST_WEIGHT
@@ -241,10 +131,14 @@ class Population:
         self["gain"], self["alarm"] = 0.0, 0.0
         living = np.flatnonzero(self.weight > EMPTY)
         grown = self._drift(living, seconds)
+        y = np.where(usable, y, math.nan)
         if usable.any():
             row, noise = self._smoothed(x, seconds)
+            self._begin_states(x, row, noise)
+        self.measured[:] = y[: self.layout.n]
+        if usable.any():
             with np.errstate(over="ignore", invalid="ignore"):
-                teaches = self._learn(living, grown, row, noise, np.where(usable, y, math.nan))
+                teaches = self._learn(living, grown, row, noise, y)
         best, first = self._judge(living)
         if usable.any() and self["row"] % self.rules.every == 0 and teaches[best]:
             self._bear(best, first)
@@ -286,24 +180,45 @@ class Population:
         return row, rules.noise * np.sqrt(1 - shrunk)
 
     def _drift(self, living: NDArray[np.intp], seconds: float) -> Array:
-        """Widen hypotheses by their drift; returns the share (K, d) of the variance that is new."""
-        grown = np.zeros((self.layout.K, self.layout.d))
+        """Widen hypotheses by their drift; returns the share (K, d) of the variance that is new.
+
+        The burst of a fresh one widens watched parameters only.
+        """
+        grown, rules = np.zeros((self.layout.K, self.layout.d)), self.rules
         for s in living:
-            variance = self.P[s].diagonal()
-            more = np.where(variance < self.rules.cap, self.drift[s] ** 2 * seconds, 0.0)
-            grown[s] = more / np.maximum(variance + more, SMALLEST)
-            self.P[s].flat[:: self.layout.d + 1] += more
+            P, calm, burst = self.variances[s], self.calm[s], self.drift[s] - self.calm[s]
+            rate = np.where(rules.watched > 0, self.drift[s], calm)
+            more = np.where(P.diagonal() < rules.cap, rate**2 * seconds, 0.0)
+            P[np.diag_indices_from(P)] += more
+            grown[s] = more / np.maximum(P.diagonal(), SMALLEST)
+            burst *= math.exp(-seconds / rules.settle)
+            self.drift[s] = calm + (burst if burst > OVER * rules.burst else 0.0)
         return grown
+
+    def _begin_states(self, x: Array, row: Array, noise: Array) -> None:
+        """Begin states at the row's values, if these are not what the last row measured."""
+        for c in np.flatnonzero(x[: self.layout.n] != self.measured).tolist():
+            for s in range(self.layout.K):
+                self._set_state(s, c, row[c], (noise[c] / self.rules.noise[c]) ** 2)
+
+    def _set_state(self, s: int, c: int, value: float, variance: float) -> None:
+        """Set the state c of hypothesis s to a measured value."""
+        k = self.layout.d + c
+        self.theta[s, k] = value
+        self.P[s, k] = self.P[s, :, k] = 0.0
+        self.P[s, k, k] = variance
 
     def _learn(
         self, living: NDArray[np.intp], grown: Array, row: Array, noise: Array, y: Array
     ) -> NDArray[np.bool_]:
         """Weigh and improve each hypothesis; returns those (K,) that a watched parameter learns."""
-        rules = self.rules
-        slopes = self.formula.at(self.theta, row)
-        J = slopes.parameters * rules.unit
-        variance = rules.sigma[:, None] ** 2 + np.sum((slopes.inputs * noise) ** 2, axis=2)
-        information = np.sqrt(np.sum((J / rules.sigma[:, None, None]) ** 2, axis=0))
+        rules, d, n = self.rules, self.layout.d, self.layout.n
+        rows = np.tile(row, (self.layout.K, 1))
+        rows[:, :n] = self.theta[:, d:]
+        slopes = self.formula.at(self.parameters, rows)
+        J = np.concatenate([slopes.parameters, slopes.inputs[:, :, :n]], axis=2) * self.unit
+        noisy = (slopes.inputs * noise) ** 2
+        information = np.sqrt(np.sum((J[:, :, :d] / rules.sigma[:, None, None]) ** 2, axis=0))
         best, weights = living[np.argmax(self.weight[living])], self.weight.copy()
         self._note(information[best])
         # A row that informs no watched parameter says nothing on its change.
@@ -314,10 +229,10 @@ class Population:
         for s in living:
             if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
                 self.weight[s] += math.log(SMALLEST)
+                for c in range(n):
+                    self._set_state(s, c, self.measured[c], 1.0)
                 continue
-            taught, gain = self._correct(
-                s, slopes.values[:, s], J[:, s], variance[:, s], free[s], y
-            )
+            taught, gain = self._correct(s, slopes.values[:, s], J[:, s], noisy[:, s], free[s], y)
             if not counts:
                 self.weight[s] = weights[s]
             self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
@@ -340,34 +255,69 @@ class Population:
             self.informed[informs] = self["clock"]
 
     def _correct(
-        self, s: int, values: Array, J: Array, variance: Array, free: NDArray[np.bool_], y: Array
+        self, s: int, values: Array, J: Array, noisy: Array, free: NDArray[np.bool_], y: Array
     ) -> tuple[Array, float]:
-        """One Gauss-Newton step per output; returns the shares taught (d,) and the information."""
-        rules, P, theta = self.rules, self.P[s], self.theta[s]
-        before, total, taught, together = theta.copy(), 0.0, np.zeros(theta.size), 1.0
-        for o in np.flatnonzero(~np.isnan(y)):
-            j = J[o]
-            e = y[o] - values[o] - j @ ((theta - before) / rules.unit)
-            Pj = P @ j
-            S = float(j @ Pj) + variance[o]
-            wide = S + rules.width * variance[o]
-            if not (abs(e) < BEYOND and LARGEST_NOISE * wide < BEYOND**2):  # says nothing
-                self.weight[s] += math.log(SMALLEST)
-                together = 1 / LARGEST_NOISE
+        """Steps by all outputs, states last; returns the shares taught (d,) and the information.
+
+        `noisy` is the variance (m, q) of each output by the noise of each input.
+        """
+        d, n, theta, P = self.layout.d, self.layout.n, self.theta[s], self.P[s]
+        own, others = self.rules.sigma**2, noisy[:, n:].sum(axis=1)
+        before, total, taught, together = theta.copy(), 0.0, np.zeros(d), 1.0
+        able = np.append(free, np.full(n, True))
+        for o in (*range(n, y.size), *range(n)):
+            if o == 0 < n:
+                self._advance(s, values, J, before, others)
+            if math.isnan(y[o]):
                 continue
-            share = rules.outliers * together + TOGETHER * (1 - together)
-            inlier = (1 - share) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
-            outlier = share * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)
-            self.weight[s] += math.log(inlier + outlier + SMALLEST)
-            kept = max(inlier / (inlier + outlier + SMALLEST), 1 / LARGEST_NOISE)
-            together = min(together, kept)
-            total += kept * (S / variance[o] - 1)
-            S /= kept
-            gain = np.where(free, Pj / S, 0.0)
-            theta[:] = np.clip(theta + rules.unit * gain * e, rules.low, rules.high)
-            P += S * np.outer(gain, gain) - np.outer(gain, Pj) - np.outer(Pj, gain)
-            taught += gain * j
+            worth = float(J[o, :d] @ P[:d, :d] @ J[o, :d]) / (own[o] + noisy[o].sum())
+            if o < n:
+                j, r, e = self.unit * (np.arange(d + n) == d + o), own[o], y[o] - theta[d + o]
+            else:
+                j, r = J[o], own[o] + others[o]
+                e = y[o] - values[o] - j @ ((theta - before) / self.unit)
+            kept, each = self._step(s, e, j, r, able, together)
+            together, total = min(together, kept or 1 / LARGEST_NOISE), total + kept * worth
+            taught += each
+            if o < n:  # with an outlier, the state may have jumped instead
+                jump = min(0.25 * e * e, self.rules.width * r)
+                P[d + o, d + o] += (1 - kept) * jump / self.unit[d + o] ** 2
         return np.clip(taught, 0.0, 1.0), total
+
+    def _step(
+        self, s: int, e: float, j: Array, r: float, able: NDArray[np.bool_], together: float
+    ) -> tuple[float, Array]:
+        """One Gauss-Newton step; returns the share of the inlier and the shares taught (d,)."""
+        rules, d, P, theta = self.rules, self.layout.d, self.P[s], self.theta[s]
+        Pj = P @ j
+        S = float(j @ Pj) + r
+        wide = S + rules.width * r
+        if not (abs(e) < BEYOND and LARGEST_NOISE * wide < BEYOND**2):  # says nothing
+            self.weight[s] += math.log(SMALLEST)
+            return 0.0, np.zeros(d)
+        share = rules.outliers * together + TOGETHER * (1 - together)
+        inlier = (1 - share) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
+        outlier = share * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)
+        self.weight[s] += math.log(inlier + outlier + SMALLEST)
+        kept = max(inlier / (inlier + outlier + SMALLEST), 1 / LARGEST_NOISE)
+        S /= kept
+        gain = np.where(able, Pj / S, 0.0)
+        theta += self.unit * gain * e
+        theta[:d] = np.clip(theta[:d], rules.low, rules.high)
+        variances = np.maximum(P.diagonal()[:d], SMALLEST)
+        taught = (gain * (2 * Pj - S * gain))[:d] / variances
+        P += S * np.outer(gain, gain) - np.outer(gain, Pj) - np.outer(Pj, gain)
+        return kept, taught
+
+    def _advance(self, s: int, values: Array, J: Array, before: Array, others: Array) -> None:
+        """Move the states to the end of the row; `others` is the variance (m,) by other inputs."""
+        d, n, theta, P = self.layout.d, self.layout.n, self.theta[s], self.P[s]
+        theta[d:] = values[:n] + J[:n] @ ((theta - before) / self.unit)
+        onward = np.eye(d + n)
+        onward[d:] = J[:n] / self.unit[d:, None]
+        P[:] = onward @ P @ onward.T
+        more = self.rules.step_error**2 + others[:n] / self.unit[d:] ** 2
+        P[np.arange(d, d + n), np.arange(d, d + n)] += more
 
     def _judge(self, living: NDArray[np.intp]) -> tuple[int, int]:
         """Weigh a change against none; returns the best hypothesis, and the best of no change."""
@@ -375,7 +325,7 @@ class Population:
         best = int(living[np.argmax(weight[living])])
         weight[living] = np.maximum(weight[living] - weight[best], LEAST_WEIGHT)
         late = self.born > self["since"]
-        away = np.abs(self.theta - self.was) > rules.near * rules.unit
+        away = np.abs(self.parameters - self.was) > rules.near * rules.unit
         changed = late & (away & (rules.watched > 0)).any(axis=1)
         odds = np.exp(weight)
         new, old = odds[changed].sum() + SMALLEST, odds[~changed].sum() + SMALLEST
@@ -400,25 +350,30 @@ class Population:
         if not able.any():
             return
         slot = int(np.flatnonzero(able)[np.argmin(self.weight[able])])
-        self.was[slot] = self.theta[best] if self.born[best] <= self["since"] else self.was[best]
+        own = self.born[best] <= self["since"]
+        self.was[slot] = self.parameters[best] if own else self.was[best]
         self.theta[slot], self.P[slot], self.share[slot] = self.theta[best], self.P[best], 1.0
-        self.P[slot].flat[:: self.layout.d + 1] += rules.watched
-        self.drift[slot] = rules.middle if self["turn"] % 2 else rules.long
+        self.variances[slot].flat[:: self.layout.d + 1] += rules.watched
+        for c in range(self.layout.n):
+            self._set_state(slot, c, self.measured[c], 1.0)
+        self.calm[slot] = rules.middle if self["turn"] % 2 else rules.long
+        self.drift[slot] = self.calm[slot] + rules.burst
         self.born[slot], self.weight[slot] = self["row"], math.log(rules.hazard)
         self["turn"] += 1
 
     def changed(self) -> Change:
         """The change that the hypotheses born since the last alarm describe."""
-        away = np.abs(self.theta - self.was) > self.rules.near * self.rules.unit
+        theta, P = self.parameters, self.variances
+        away = np.abs(theta - self.was) > self.rules.near * self.rules.unit
         late = (self.born > self["since"]) & (away & (self.rules.watched > 0)).any(axis=1)
         weights = np.where(late, np.exp(self.weight), 0.0)
         weights /= weights.sum()
-        before, after = weights @ self.was, weights @ self.theta
-        variance = weights @ ((self.theta - after) / self.rules.unit) ** 2
-        variance += weights @ self.P.diagonal(axis1=1, axis2=2)
+        before, after = weights @ self.was, weights @ theta
+        variance = weights @ ((theta - after) / self.rules.unit) ** 2
+        variance += weights @ P.diagonal(axis1=1, axis2=2)
         early = np.flatnonzero(~late & (self.weight > EMPTY))
         first = early[np.argmax(self.weight[early])] if early.size else int(np.argmax(weights))
-        errors = [self.rules.unit * np.sqrt(v) for v in (self.P[first].diagonal(), variance)]
+        errors = [self.rules.unit * np.sqrt(v) for v in (P[first].diagonal(), variance)]
         return Change(before, after, *errors)
 
     def _estimate(self, numbers: Array) -> None:
@@ -430,13 +385,14 @@ class Population:
         mixture.weights[:] = np.exp(self.weight) / np.exp(self.weight).sum()
         long = (self.drift <= self.rules.long)[:, None]
         roots = self.rules.unit * np.sqrt(np.where(long, self.share, 1.0))
-        mean[:] = mixture.weights @ self.theta
-        away = self.theta - mean
-        covariance[:] = np.einsum("s,sij,si,sj->ij", mixture.weights, self.P, roots, roots)
+        theta, P = self.parameters, self.variances
+        mean[:] = mixture.weights @ theta
+        away = theta - mean
+        covariance[:] = np.einsum("s,sij,si,sj->ij", mixture.weights, P, roots, roots)
         covariance += (away.T * mixture.weights) @ away
         mean[:] = np.clip(mean, self.rules.low, self.rules.high)  # a mean of bounds is rounded
-        mixture.means[:] = self.theta
-        mixture.deviations[:] = roots * np.sqrt(np.maximum(self.P.diagonal(axis1=1, axis2=2), 0.0))
+        mixture.means[:] = theta
+        mixture.deviations[:] = roots * np.sqrt(np.maximum(P.diagonal(axis1=1, axis2=2), 0.0))
 
 
 def _population(layout: Layout, rules: Rules, formula: RowFormula, memory: Array) -> Population:

@@ -39,8 +39,8 @@ class RowFormula(ABC):
     """Abstract base class: the outputs of one row and their derivatives."""
 
     @abstractmethod
-    def at(self, thetas: Array, row: Array) -> Slopes:
-        """Return outputs and derivatives at configurations (K, d) and inputs (p,)."""
+    def at(self, thetas: Array, rows: Array) -> Slopes:
+        """Return outputs and derivatives at configurations (K, d) and their inputs (K, p)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +63,10 @@ class TapedFormula(RowFormula):
     d: int
     q: int
 
-    def at(self, thetas: Array, row: Array) -> Slopes:
-        """Return outputs and derivatives at configurations (K, d) and inputs (p,)."""
+    def at(self, thetas: Array, rows: Array) -> Slopes:
+        """Return outputs and derivatives at configurations (K, d) and their inputs (K, p)."""
         K = len(thetas)
-        X = np.empty((row.size + self.d, K))
-        X[: row.size] = row[:, None]
-        X[row.size :] = thetas.T
+        X = np.ascontiguousarray(np.hstack([rows, thetas]).T)
         results = self.tape.evaluate(np.empty((1, 0)), X)[0]
         each = results.reshape(self.outputs, 1 + self.d + self.q, K)
         slopes = each[:, 1:].transpose(0, 2, 1)
@@ -107,21 +105,23 @@ class ModelFormula(RowFormula):
         ]
         object.__setattr__(self, "_places", places)
 
-    def at(self, thetas: Array, row: Array) -> Slopes:
-        """Return outputs and derivatives at configurations (K, d) and inputs (p,)."""
+    def at(self, thetas: Array, rows: Array) -> Slopes:
+        """Return outputs and derivatives at configurations (K, d) and their inputs (K, p)."""
         K, m, q = len(thetas), len(self.outputs), self.noise.size
         made = Slopes(np.empty((m, K)), np.zeros((m, K, thetas.shape[1])), np.zeros((m, K, q)))
-        rows = np.tile(row, (1 + 2 * q, 1))  # the row, and its neighbours on both sides
-        for k in range(q):
-            rows[1 + 2 * k, k] += self.noise[k]
-            rows[2 + 2 * k, k] -= self.noise[k]
-        for o, (output, (own, inputs)) in enumerate(zip(self.outputs, self._places, strict=True)):
-            columns = [np.ascontiguousarray(rows[:, k]) for k in inputs]
-            single = [column[:1] for column in columns]
-            values = output.model.predict(thetas[:, own], *columns)
-            made.values[o] = values[:, 0]
-            made.inputs[o] = (values[:, 1::2] - values[:, 2::2]) / (2 * self.noise)
-            for k, theta in enumerate(thetas):
+        for k, (theta, row) in enumerate(zip(thetas, rows, strict=True)):
+            near = np.tile(row, (1 + 2 * q, 1))  # the row, and its neighbours on both sides
+            for i in range(q):
+                near[1 + 2 * i, i] += self.noise[i]
+                near[2 + 2 * i, i] -= self.noise[i]
+            for o, (output, (own, inputs)) in enumerate(
+                zip(self.outputs, self._places, strict=True)
+            ):
+                columns = [np.ascontiguousarray(near[:, i]) for i in inputs]
+                values = output.model.predict(theta[None, own], *columns)[0]
+                made.values[o, k] = values[0]
+                made.inputs[o, k] = (values[1::2] - values[2::2]) / (2 * self.noise)
+                single = [column[:1] for column in columns]
                 made.parameters[o, k, own] = output.model.jacobian(theta[own], *single)[0]
         return made
 

@@ -20,9 +20,10 @@ from miho.online.informative import InformativeRows
 from miho.online.method import OnlineMethod, Problems, Rows, Running, numbers_of
 from miho.online.motion import StepRows, is_motion, one_step
 from miho.online.outputs import TIME, Output, System, system_of
-from miho.online.population import Layout, Population, Rules
+from miho.online.population import Population
 from miho.online.present import present_parameters
 from miho.online.prior import place_of, start_of
+from miho.online.rules import Layout, Rules
 from miho.online.slopes import row_formula
 from miho.online.state import Alarm, Change, TrackerState, alarm_of
 from miho.quantities import Array
@@ -75,6 +76,12 @@ class TrackerSettings(OnlineMethod):
         Drift widens a parameter up to this variance, in squared jumps.
     kept : int, optional
         Number of informative rows to keep, see `Tracker.dataset`.
+    step_error : float, optional
+        Standard deviation of a model's error in one step of a state, in that of the measured state.
+    burst : float, optional
+        Further drift of the watched parameters in a fresh hypothesis, because a jump takes a while.
+    settle : float, optional
+        Time in which this further drift decays [s].
 
     Raises
     ------
@@ -97,13 +104,17 @@ class TrackerSettings(OnlineMethod):
     slots: int = 16
     cap: float = 0.75
     kept: int = 500
+    step_error: float = 0.05
+    burst: float = 2.0
+    settle: float = 0.1
 
     def __post_init__(self) -> None:
         for name in ("hazard", "outliers"):
             between_0_and_1(name, getattr(self, name))
-        for name in ("width", "near", "use", "smooth", "gap", "cap"):
+        for name in ("width", "near", "use", "smooth", "gap", "cap", "settle"):
             positive(name, getattr(self, name))
-        at_least("hold", self.hold, 0.0)
+        for name in ("hold", "step_error", "burst"):
+            at_least(name, getattr(self, name), 0.0)
         number_or_infinity("threshold", self.threshold)
         whole("repeats", self.repeats, 1)
         whole("every", self.every, 1)
@@ -149,7 +160,8 @@ class Tracker(Running):
         free parameter by 0.35. The alarm watches them.
     input_noise : mapping of str to float, optional
         Standard deviation of the noise of input columns, in their units. By default inputs have no
-        noise, and the states of a `Trajectory` that of its outputs.
+        noise, and the states of a `Trajectory` that of its outputs. An input `vy` with noise is a
+        state if `vy_next` is an output: it is estimated together with the parameters.
     period : float, optional
         Time between two rows [s], for rows without a column "time".
     **settings
@@ -204,14 +216,17 @@ class Tracker(Running):
         if self._steps is not None and input_noise is None:
             input_noise = self._steps.noise(self.system.sigma)
         deviations = _noise_of(self.system, input_noise or {})
-        # Inputs with noise come first.
+        # States come first, then the other inputs with noise.
+        states = self.system.states(deviations)
+        self.system = self.system.with_first(states)
+        deviations = {name: deviations[name] for name in dict.fromkeys((*states, *deviations))}
         self.columns = (*deviations, *(n for n in self.system.inputs if n not in deviations))
         theta, covariance = start_of(self.system, prior)
         self._rules = _rules(self.settings, self.system, theta, covariance, changes, deviations)
         self._scale = 1.0
         formula = row_formula(self.system, self.columns, self._rules.noise)
-        d, m = len(self.system.names), len(self.system.outputs)
-        layout = Layout(self.settings.slots, d, m, len(self.columns), len(deviations))
+        d, m, n = len(self.system.names), len(self.system.outputs), len(states)
+        layout = Layout(self.settings.slots, d, m, len(self.columns), len(deviations), n)
         self._population = Population(layout, self._rules, formula)
         self._population.begin(theta, covariance, _peak(self.system, self._rules, theta))
         self._names = [*self.columns, *(output.column for output in self.system.outputs)]
@@ -331,8 +346,8 @@ class Tracker(Running):
     def calibrate(self, rows: Rows) -> Calibration:
         """Set the scale of intervals and the threshold of the alarm from a quiet record.
 
-        Errors of neighbouring rows may depend on each other, as in one-step errors, where the noise
-        of a state is in two rows: intervals for independent errors are then too wide or too narrow.
+        Errors of neighbouring rows may depend on each other, for example if the model leaves out an
+        effect that lasts: intervals for independent errors are then too narrow.
         The scale compares the estimates of the watched parameters with the best fit of the record,
         in which nothing may change. The threshold is at least the record's largest odds plus 1.
 
@@ -458,7 +473,7 @@ def _rules(
         positive(f"changes.{name}", share)
         watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
     names = ("hazard", "outliers", "width", "threshold", "near", "use", "smooth", "hold", "gap",
-             "every", "repeats", "cap")  # fmt: skip
+             "every", "repeats", "cap", "step_error", "burst", "settle")  # fmt: skip
     return Rules(
         **{name: float(getattr(settings, name)) for name in names},
         **dict(zip(("long", "middle", "short"), settings.drifts, strict=True)),

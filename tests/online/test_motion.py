@@ -139,6 +139,41 @@ def test_an_alarm_is_not_repeated_by_a_row_without_a_step() -> None:
     assert tracker.change is not None
 
 
+def pushed(force: Any, *, a: Any) -> Any:
+    return a * force
+
+
+def test_states_and_parameters_are_estimated_together() -> None:
+    """Without errors of the step it is least squares on all rows, by the first state and by `a`."""
+    rng = np.random.default_rng(3)
+    t, force = STEP * np.arange(200), rng.uniform(-1, 2, 200)
+    whole = np.append(0.0, np.cumsum(STEP * force[:-1]))
+    x = 1 + 1.5 * whole + 0.1 * rng.standard_normal(200)
+    model = Trajectory(pushed, {"x": "measured"}, ["x"], (), "hold", restart=1)
+    units = {"t": "s", "force": "-", "x": "-"}
+    columns: dict[str, Any] = {"t": t, "force": force, "x": x}
+    data = Dataset("push", columns, units, "x")
+    problem = CurveFit(model, data, Space((Parameter("a", "-", -9, 9),)), sigma=0.1)
+    still: dict[str, Any] = {"drifts": (0.0, 0.0, 0.0), "outliers": 1e-12, "step_error": 0.0}
+    state = Tracker(problem, {"a": (1.0, 2.0)}, {}, **still).update(data)
+    information = np.diag([0.0, 1 / 2.0**2])
+    J = np.column_stack([np.ones(200), whole])
+    information += J.T @ J / 0.1**2
+    expected = np.linalg.solve(information, [0.0, 1 / 2.0**2] + J.T @ x / 0.1**2)
+    # The first state is known a millionth too well, as its mean is not known yet.
+    np.testing.assert_allclose(state.theta, expected[1:], rtol=1e-5)
+    np.testing.assert_allclose(state.covariance, np.linalg.inv(information)[1:, 1:], rtol=1e-5)
+
+
+def test_an_interval_of_a_motion_needs_no_scale() -> None:
+    """The noise of a state is in two rows, so intervals for independent rows are far too wide."""
+    away = []
+    for seed in range(20):
+        state = car_tracker().update(drive(12.0, seed=seed))
+        away.append((state.values["D"] - 1.0) / state.deviations[1])
+    assert 0.7 < np.sqrt(np.mean(np.square(away))) < 1.3
+
+
 def test_fixed_parameters_and_scales_stay() -> None:
     problem = car_problem()
     space = Space((Parameter("B", "-", fixed=12.0), Parameter("D", "-", 0.2, 3)))

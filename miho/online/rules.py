@@ -1,0 +1,137 @@
+"""Sizes of a population of hypotheses, the places of its numbers, and the rules of its update."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from miho.online.state import Mixture
+from miho.quantities import Array
+
+NUMBERS = ("row", "clock", "last_time", "since", "quiet_until", "turn", "odds", "alarm", "gain")
+"""Counters of a population. `clock` is the time that has passed [s], `since` the last row that
+counts as before a change, `gain` the information that the last row gave the best hypothesis."""
+
+
+PLACE = {name: k for k, name in enumerate(NUMBERS)}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a population, and the place of each of its arrays in one memory of doubles.
+
+    Parameters
+    ----------
+    K, d, m, p, q : int
+        Numbers of hypotheses, parameters, outputs, inputs, and inputs with noise, which come first.
+    n : int, optional
+        Number of states: the first inputs, whose values at the end of the row are the first
+        outputs.
+    """
+
+    K: int
+    d: int
+    m: int
+    p: int
+    q: int
+    n: int = 0
+
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the arrays, in their order."""
+        K, d, watched = self.K, self.d, self.q + self.m
+        D = d + self.n
+        return {
+            "numbers": (len(NUMBERS),), "theta": (K, D), "P": (K, D, D), "share": (K, d),
+            "weight": (K,), "drift": (K,), "calm": (K,), "born": (K,), "was": (K, d), "peak": (d,),
+            "informed": (d,), "mean": (self.q,), "variance": (self.q,), "last": (watched,),
+            "repeats": (watched,), "measured": (self.n,),
+        }  # fmt: skip
+
+    @cached_property
+    def size(self) -> int:
+        """Length of the memory."""
+        return sum(math.prod(shape) for shape in self.shapes.values())
+
+    @cached_property
+    def estimate_size(self) -> int:
+        """Length of an estimate: mean, covariance, and weights, means, deviations of hypotheses."""
+        return self.d + self.d**2 + self.K * (1 + 2 * self.d)
+
+    def estimate(self, numbers: Array) -> tuple[Array, Array, Mixture]:
+        """Mean (d,), covariance (d, d) and distribution as views of an estimate."""
+        K, d = self.K, self.d
+        at = d + d * d
+        weights, rest = numbers[at : at + K], numbers[at + K :].reshape(2, K, d)
+        return numbers[:d], numbers[d:at].reshape(d, d), Mixture(weights, rest[0], rest[1])
+
+    def views(self, memory: Array) -> dict[str, Array]:
+        """The arrays as views of a memory."""
+        made, at = {}, 0
+        for name, shape in self.shapes.items():
+            count = math.prod(shape)
+            made[name] = memory[at : at + count].reshape(shape)
+            at += count
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """Numbers by which a population is updated.
+
+    Covariances and drifts are in the `unit` of each parameter.
+
+    Parameters
+    ----------
+    hazard, outliers, width, threshold, near : float
+        As for `TrackerSettings`.
+    long, middle, short : float
+        Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
+    use, smooth, hold, repeats, gap, every, cap, step_error, burst, settle : float
+        As for `TrackerSettings`.
+    unit : ndarray, shape (d,)
+        Size of a jump of a watched parameter; standard deviation of another one before the first
+        row.
+    low, high : ndarray, shape (d,)
+        Bounds of the parameters.
+    watched : ndarray, shape (d,)
+        1 for a parameter that may jump, else 0.
+    sigma : ndarray, shape (m,)
+        Standard deviations of the errors of the outputs.
+    noise : ndarray, shape (q,)
+        Standard deviations of the first inputs.
+    """
+
+    hazard: float
+    outliers: float
+    width: float
+    threshold: float
+    near: float
+    long: float
+    middle: float
+    short: float
+    use: float
+    smooth: float
+    hold: float
+    repeats: float
+    gap: float
+    every: float
+    cap: float
+    step_error: float
+    burst: float
+    settle: float
+    unit: Array
+    low: Array
+    high: Array
+    watched: Array
+    sigma: Array
+    noise: Array
+
+    @cached_property
+    def packed(self) -> Array:
+        """All numbers in their order."""
+        numbers = [np.atleast_1d(getattr(self, field.name)) for field in fields(self)]
+        return np.concatenate(numbers).astype(float)
