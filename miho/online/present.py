@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from miho.identification.curve_fit import CurveFit
 from miho.models.identified import Identified, Value
 from miho.models.tied import Tied
 from miho.online.outputs import Output, System
@@ -12,7 +13,11 @@ from miho.quantities import Array
 
 
 def present_parameters(
-    system: System, output: Output, state: TrackerState, level: float
+    system: System,
+    output: Output,
+    state: TrackerState,
+    level: float,
+    motion: CurveFit | None = None,
 ) -> Identified:
     """Return the content of `parameters.json` for a state.
 
@@ -26,16 +31,21 @@ def present_parameters(
         Present parameters.
     level : float
         Confidence level of the intervals.
+    motion : CurveFit, optional
+        The problem of a `Trajectory`, one step of which the output is.
 
     Returns
     -------
     Identified
-        The model with all its parameters, also those that are fixed or tied.
+        The model with all its parameters, also those that are fixed or tied. The model of a motion
+        is its `Trajectory`, or one step if the `Trajectory` has further parameters.
     """
     places = [system.names.index(name) for name in output.parameters]
     theta, ends = state.theta[places], state.intervals(level)[places]
     covariance = state.scale**2 * state.covariance[np.ix_(places, places)]
-    model = output.model.whole
+    model, columns = output.model.whole, output.columns
+    if motion is not None and [*motion.model.whole.parameters] == [*model.parameters]:
+        model, columns = motion.model.whole, motion.dataset.columns
     if isinstance(output.model, Tied):
         theta, covariance, ends = _tied(output.model, theta, covariance, ends)
     errors = np.sqrt(np.diag(covariance))
@@ -48,8 +58,7 @@ def present_parameters(
         },
         correlation=covariance / np.outer(usable, usable),
         ranges={
-            name: (float(output.columns[name].min()), float(output.columns[name].max()))
-            for name in model.inputs
+            name: (float(columns[name].min()), float(columns[name].max())) for name in model.inputs
         },
         derived={},
         provenance={"interval": "tracked", "rows": state.rows, "time": state.time},

@@ -209,9 +209,10 @@ class Tracker(Running):
                 raise ValueError(f"{name} is {given!r}; expected a number for each name")
         self.period = float(period)
         noise = prior.at.noise if isinstance(prior, Report) else None
+        self._motion = problem if is_motion(problem) else None
         self._steps: StepRows | None = None
-        if is_motion(problem):
-            self._steps, problem = StepRows.of_problem(problem), one_step(problem)
+        if self._motion is not None:
+            self._steps, problem = StepRows.of_problem(self._motion), one_step(self._motion)
         self.system = system_of(problem, noise)
         if self._steps is not None and input_noise is None:
             input_noise = self._steps.noise(self.system.sigma)
@@ -341,7 +342,8 @@ class Tracker(Running):
         ValueError
             If there is no such output, or `level` is not between 0 and 1.
         """
-        return present_parameters(self.system, self._output(output), self.state, level)
+        own = self._output(output)
+        return present_parameters(self.system, own, self.state, level, self._motion)
 
     def calibrate(self, rows: Rows) -> Calibration:
         """Set the scale of intervals and the threshold of the alarm from a quiet record.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from miho import CurveFit, Dataset, Parameter, Space, Tracker
 from miho.data import stacked
 from miho.models import Trajectory
+from miho.models.identified import parameters_text, read_parameters
 from miho.online import one_step
 
 STEP = 0.02
@@ -122,7 +124,14 @@ def test_rows_at_once_one_by_one_and_after_a_gap() -> None:
     assert at_once.update(later).rows == 101  # the step of the gap is left out
     assert at_once.update(rows).rows == 101 + 99
     assert at_once.dataset("yaw_rate_next").output == "yaw_rate_next"
-    assert [*at_once.parameters().parameters] == ["B", "D"]
+
+
+def test_the_present_parameters_are_of_the_trajectory(tmp_path: Path) -> None:
+    tracker, file = car_tracker(), tmp_path / "parameters.json"
+    tracker.update(drive(2.0))
+    file.write_text(parameters_text(tracker.parameters(), {}))
+    present = read_parameters(file, car_problem().model)
+    assert {name: value.value for name, value in present.parameters.items()} == tracker.state.values
 
 
 def test_an_alarm_is_not_repeated_by_a_row_without_a_step() -> None:
