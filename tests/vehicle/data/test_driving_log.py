@@ -252,7 +252,7 @@ def test_a_log_of_central_europe(tmp_path: Path) -> None:
     log = load_driving_log(path, ["time", "vx"], ["s", "m/s"], ["t", "v"], text=text)
     np.testing.assert_allclose(log["vx"], 20.0 + np.arange(20))
     assert log.reading is not None
-    assert [column.name for column in log.reading.columns] == ["t", "v"]
+    assert [column[0] for column in log.reading.columns] == ["t", "v"]
     assert "separated by semicolons" in log.reading.notes
     path.write_text("\n".join([*head, *rows[:12], *rows[16:], "2,0;40;1"]))
     with pytest.raises(CSVError, match=r"log\.csv:17:1: no sample for 0\.5 s"):
