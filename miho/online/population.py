@@ -63,10 +63,9 @@ class Population:
         self.weight, self.drift, self.calm, self.born, self.was = (
             views[name] for name in ("weight", "drift", "calm", "born", "was")
         )
-        self.peak, self.informed, self.mean, self.variance = (
-            views[name] for name in ("peak", "informed", "mean", "variance")
+        self.peak, self.informed, self.mean, self.variance, self.last, self.repeats = (
+            views[name] for name in ("peak", "informed", "mean", "variance", "last", "repeats")
         )
-        self.last, self.repeats = views["last"], views["repeats"]
         self.measured = views["measured"]
         d, self.unit = layout.d, np.append(rules.unit, rules.noise[: layout.n])
         self.parameters, self.variances = self.theta[:, :d], self.P[:, :d, :d]
