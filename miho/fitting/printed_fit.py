@@ -39,22 +39,26 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
         at = fit.uncertainty
     marks = marked(fit.problem, fit.theta, at)
     size = "; ".join([f"{error} (root mean square of {rows:,} rows{weights})", *marks])
-    size += f"{_dependent(at)}{narrow * priors}"
+    doubt = fit._conclusion.doubt
+    size += f"{_dependent(at, explained=not doubt)}{narrow * priors}"
     # The caveats explain an optimum in doubt.
     limits = " ".join(f"{limit}." for limit in at_limits(fit.problem, fit.theta))
-    known = limits if fit._conclusion.doubt else fit.optimum.replace(". ", ".\n")
+    known = limits if doubt else fit.optimum.replace(". ", ".\n")
     limited = (f"- {sentence}" for sentence in fit.caveats)
     lines = "\n".join(filter(None, [size, known, *limited])).split("\n")
     return table, lines
 
 
-def _dependent(at: Linearised | None) -> str:
-    """The remark on correlated errors, with the widening of the intervals if it is large."""
+def _dependent(at: Linearised | None, *, explained: bool) -> str:
+    """The remark on correlated errors, with the widening of the intervals if it is large.
+
+    A report has `explained` it, unless the optimum is in doubt.
+    """
     if at is None or at.dependence is None:
         return ""
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
     widest = float(widening(at, np.eye(usable.size)[usable]).max(initial=1.0))
-    much = f", up to {widest:.0f} times as wide: fit.report() gives the reason"
+    much = f", up to {widest:.0f} times as wide{': fit.report() gives the reason' * explained}"
     return f"; intervals allow for correlated errors of neighbouring rows{much * (widest >= WIDE)}"
 
 

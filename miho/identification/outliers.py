@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
@@ -9,13 +11,14 @@ from miho.identification.line_wrapping import with_unit
 from miho.identification.loss import Square
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.identification.uncertainty import Linearised
+from miho.models.joint import parts_of
 
 NORMAL = 0.6745
 """Median of the magnitude of normal errors of unit variance."""
 HUBER = 1.345
 """Scale of Huber's loss in standard deviations: 95 % efficient for normal errors (Huber 1964)."""
 FAR = 5.0
-"""Rows beyond this many robust standard deviations may be outliers: of 1e6 normal errors, one."""
+"""Rows beyond this many robust standard deviations may be outliers."""
 MANY = 0.1
 """If more than this fraction of the rows is far, they are not outliers but a tail."""
 RAISED = 1.3
@@ -38,9 +41,15 @@ def too_small_scale(problem: CurveFit, at: Linearised) -> list[str]:
 
 
 def outliers(problem: CurveFit, at: Linearised) -> list[str]:
-    """A sentence if few rows are so far from the curve that they widen all intervals."""
+    """A sentence if few rows are so far from the curve that they widen all intervals.
+
+    There is none if sigma is known, because intervals do not depend on the errors, and none where
+    a robust loss is not possible: with priors and in joint fits.
+    """
+    if at.noise_known or problem.prior is not None or parts_of(problem.model):
+        return []
     errors, unit = np.abs(problem.errors(at.theta)), problem.unit
-    usual = float(np.median(errors)) / NORMAL
+    usual = float(np.median(errors)) / NORMAL * math.sqrt(errors.size / at.freedom)
     far = int(np.count_nonzero(errors > FAR * usual))
     few = 0 < far <= MANY * errors.size
     if not isinstance(problem.rho, Square) or not few or at.noise < RAISED * usual:

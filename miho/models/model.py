@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -193,6 +193,13 @@ class Wrapper(Model):
         inputs, parameters, output, linear, name, source, nominal = (
             property(attrgetter(f"model.{attribute}")) for attribute in INHERITED
         )
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the fields; older pickles call the model `function` or `joint`."""
+        for former in ("function", "joint"):
+            if former in state:
+                state = {"model": state[former], **state}
+        vars(self).update(state)
 
 
 class DifferencedModel(Model):

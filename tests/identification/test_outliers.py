@@ -38,3 +38,12 @@ def test_few_rows_far_from_the_curve_are_named(rows: list[int], words: str) -> N
 def test_normal_errors_have_no_outliers() -> None:
     for seed in range(20):
         assert not remarks(0.05 * np.random.default_rng(seed).standard_normal(T.size))
+
+
+def test_intervals_that_outliers_do_not_widen_have_no_remark() -> None:
+    y = decay(T, 2.0, 1.5) + 0.05 * np.random.default_rng(0).standard_normal(T.size)
+    y[7] += 1.0
+    prior = {"a": {"low": 0, "high": 5, "prior": (2.0, 0.1)}, "b": (0, 10)}
+    for space, sigma in ((BOX, 0.05), (prior, None)):
+        notes = miho.fit(decay, T, y, space, sigma=sigma).report(profiles=False).notes
+        assert not [note for note in notes if "more than 5 standard deviations" in note]
