@@ -160,7 +160,7 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
 
 
 def _ends(text: str) -> str:
-    """The override of bounds that a list such as space.a=[0,5] stands for."""
+    """An example of overrides in place of a list of bounds such as space.a=[0,5]."""
     name = text.partition("=")[0].split(".")[1]
     return f"space.{name}.low=0 space.{name}.high=1"
 

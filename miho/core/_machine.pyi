@@ -69,7 +69,7 @@ def derive_trajectory(
     course: tuple[Any, ...],
     out: Array,
 ) -> None: ...
-def track(
+def update_population(
     tape: Any,
     sizes: tuple[int, int, int, int, int, int],
     rules: Array,

@@ -131,9 +131,14 @@ static void list_improvement(search *s, double loss, int64_t more) {
     copy(s->w.theta, s->thetas + k * s->p.d, s->p.d);
 }
 
-/* Bring a candidate to its next evaluation, and make it; returns RUNNING, or how this ended. */
+/* Bring a candidate to its next evaluation, and make it; returns RUNNING, or how this ended. A factor
+   that a stop has left is a step of its own, so that a second stop undoes nothing of it. */
 static int make_step(search *s, candidate *c) {
     const problem *p = &s->p;
+    if (c->has->stage == FACTOR && c->derivatives) {
+        factor_secant(s, c);
+        return RUNNING;
+    }
     int needs = prepare(s, c);
     if (is_stopped(s)) return PAUSED;
     if (!needs) return FINISHED;

@@ -236,7 +236,7 @@ static PyMethodDef methods[] = {
     {"fit_many", FAST(py_fit_many), fit_many_doc},
     {"solve_trajectories", FAST(py_solve_trajectories), solve_trajectories_doc},
     {"derive_trajectory", FAST(py_derive_trajectory), derive_trajectory_doc},
-    {"track", FAST(py_track), track_doc},
+    {"update_population", FAST(py_update_population), update_population_doc},
     {"mixture_reach", FAST(py_mixture_reach), mixture_reach_doc},
     {"address", py_address, METH_O, address_doc},
     {"functions", py_functions, METH_NOARGS, functions_doc},

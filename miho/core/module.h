@@ -31,7 +31,7 @@ extern const char solve_trajectories_doc[], derive_trajectory_doc[];
 PyObject *py_solve_trajectories(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 PyObject *py_derive_trajectory(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 /* module_track.c */
-extern const char track_doc[], mixture_reach_doc[];
-PyObject *py_track(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+extern const char update_population_doc[], mixture_reach_doc[];
+PyObject *py_update_population(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 PyObject *py_mixture_reach(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 #endif

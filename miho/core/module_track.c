@@ -24,13 +24,13 @@ static int take_sizes(PyObject *capsule, PyObject *sizes, arrays *all, track_siz
     return 1;
 }
 
-const char track_doc[] =
-    "track(tape, sizes (K, d, m, p, q, n), rules, row (p + m + 1,), memory, estimate): update the "
+const char update_population_doc[] =
+    "update_population(tape, sizes (K, d, m, p, q, n), rules, row (p + m + 1,), memory, estimate): update the "
     "memory by a row, and fill the estimate. See track.h.";
-PyObject *py_track(PyObject *module, PyObject *const *a, Py_ssize_t count) {
-    if (count != 6) return PyErr_Format(PyExc_TypeError, "track takes 6 arguments");
+PyObject *py_update_population(PyObject *module, PyObject *const *a, Py_ssize_t count) {
+    if (count != 6) return PyErr_Format(PyExc_TypeError, "update_population takes 6 arguments");
     arrays all;
-    begin_call(&all, "track");
+    begin_call(&all, "update_population");
     track_sizes of;
     double *rules, *row, *memory, *estimate;
     int taken = take_sizes(a[0], a[1], &all, &of) &&

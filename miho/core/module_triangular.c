@@ -27,7 +27,7 @@ PyObject *py_fold(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     int taken = !PyErr_Occurred() && (T = array_of(&all, a[0], "T", 'D', 2, side)) &&
         (columns = array_of(&all, a[1], "columns", 'D', 2, shape)) && are_apart(&all);
     if (taken && (n < 0 || n > side[0] || n > side[1] || n > shape[0] || n > MOST_PARAMETERS + 1 ||
-                  rows < 0 || whole(rows) > shape[1]))
+                  rows < 0 || rows > shape[1] || whole(rows) > shape[1]))
         taken = refuse(&all, "expected no more rows, in eights, and columns than the arrays have");
     if (taken) {
         for (int64_t k = 0; k < n; k++) pad(columns + k * shape[1], rows);

@@ -156,6 +156,7 @@ double square_norm(const box_problem *b, const double *s);
 int is_free(double x);
 int is_copy(const search *s, const candidate *better, const candidate *c);
 void take_factor(const search *s, candidate *c);
+void factor_secant(search *s, candidate *c);
 int prepare(search *s, candidate *c);
 void after_evaluation(search *s, candidate *c, double loss);
 

@@ -110,7 +110,7 @@ static void take_secant(const search *s, const candidate *c) {
 }
 
 /* Factor of the updated derivatives at the position of a candidate. */
-static void factor_secant(search *s, candidate *c) {
+void factor_secant(search *s, candidate *c) {
     c->has->stage = FACTOR;
     refold(s, c, c->derivatives + s->p.d * s->m);
     if (is_stopped(s)) return;
@@ -325,7 +325,6 @@ static int crawls(const search *s, candidate *c) {
 
 /* Bring a candidate to its next evaluation; 0 if it needs none in this block. */
 int prepare(search *s, candidate *c) {
-    if (c->has->stage == FACTOR && c->derivatives) factor_secant(s, c);
     while (!is_stopped(s) && (c->has->stage == SLOPES || c->has->stage == READY)) {
         if (c->has->stage == READY && nears_known_minimum(s, c)) c->has->stage = AT_KNOWN;
         else if (c->has->trials >= s->rules.steps || crawls(s, c)) return 0;

@@ -90,7 +90,10 @@ def machine() -> Any:
     except ImportError:
         sys.stderr.write(NOT_BUILT.format("the library was installed without a C compiler"))
         return None
-    functions = {"run_bracket", "solve_trajectories", "climb", "fit_many", "track", "solve_in_box"}
+    functions = {
+        "run_bracket", "solve_trajectories", "climb", "fit_many", "update_population",
+        "solve_in_box",
+    }  # fmt: skip
     whole = functions <= vars(built).keys()
     if whole and built.operations() == tuple(OPERATIONS):
         return built

@@ -13,7 +13,7 @@
 #define BEYOND 1e150           /* errors and deviations whose squares leave the range of doubles */
 #define RISE 1.02
 #define TOGETHER 0.5
-#define OVER 0.01              /* share of a burst that no longer counts */
+#define OVER 0.01              /* share of a burst, or of an inlier, that no longer counts */
 
 enum { ROW, CLOCK, LAST_TIME, SINCE, QUIET_UNTIL, TURN, ODDS, ALARM, GAIN, NUMBERS };
 enum { HAZARD, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
@@ -29,14 +29,15 @@ typedef struct {
 } population;
 
 /* Room for one update: columns and results of the tape, inputs and their noise, usable outputs,
-   shares of the variance that are new, and units of parameters and states. The others are of one
-   hypothesis. */
+   shares of the variance that are new, and units of parameters and states. States that `began` at
+   the values of the row may have to begin `again`. The others are of one hypothesis. */
 typedef struct {
     double *X, *results, *row, *noise, *y, *grown, *unit;
     double *before, *taught, *Pj, *step, *onward, *carried;
     uint8_t *teaches, *is_free;
     double inlier;
     int any, counts;
+    uint64_t began, again;
 } desk;
 
 int64_t length_of_memory(const track_sizes *of) {
@@ -108,6 +109,7 @@ static int open_desk(const track_sizes *of, const rules_of *rules, desk *to) {
     to->teaches = (uint8_t *)at;
     to->is_free = to->teaches + K;
     memset(to->teaches, 0, (size_t)K);
+    to->began = to->again = 0;
     return 1;
 }
 
@@ -202,8 +204,9 @@ static void set_state(const track_sizes *of, population *at, int64_t s, int64_t 
 
 /* States that are not the measured ones at the end of the last row begin at the row's values. */
 static void begin_states(const track_sizes *of, population *at, const rules_of *rules,
-                         const double *row, const desk *to) {
+                         const double *row, desk *to) {
     for (int64_t c = 0; c < of->n; c++) {
+        if (row[c] != at->measured[c]) to->began |= 1ull << c;
         double share = to->noise[c] / rules->noise[c];
         for (int64_t s = 0; row[c] != at->measured[c] && s < of->K; s++)
             set_state(of, at, s, c, to->row[c], share * share);
@@ -299,7 +302,8 @@ static double step_by(const track_sizes *of, population *at, const rules_of *rul
     S += r;
     double share = rules->number[OUTLIERS] * to->inlier + TOGETHER * (1.0 - to->inlier);
     double wide = S + rules->number[WIDTH] * r;
-    if (!(fabs(e) < BEYOND && LARGEST_NOISE * wide < BEYOND * BEYOND)) { /* says nothing */
+    /* An impossible error says nothing; nor does a step without a number. */
+    if (!(fabs(e) < LARGEST_NOISE * sqrt(wide) && LARGEST_NOISE * wide < BEYOND * BEYOND)) {
         if (to->counts) at->weight[s] += log_one(SMALLEST);
         to->inlier = 1.0 / LARGEST_NOISE;
         return 0.0;
@@ -431,7 +435,11 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
     advance(of, at, rules, to, s);
     for (int64_t c = 0; c < of->n; c++) {
         double worth = is_best ? worth_of(of, at, rules, to, c, s) : 0.0;
-        if (!isnan(to->y[c])) information += worth * step_by_state(of, at, rules, to, c, s);
+        if (isnan(to->y[c])) continue;
+        double kept = step_by_state(of, at, rules, to, c, s);
+        information += worth * kept;
+        /* A state that an outlier began, at either end of the row, begins again. */
+        if (is_best && kept < OVER) to->again |= to->began & 1ull << c;
     }
     for (int64_t i = 0; i < d; i++) {
         double *share = at->share + s * d + i, grown = to->grown[s * d + i];
@@ -595,6 +603,8 @@ int track_update(const track_sizes *of, const double *numbers, const double *row
     int64_t first, best = judge(of, &at, &rules, &first);
     int due = fmod(at.number[ROW], rules.number[EVERY]) == 0.0;
     if (to.any && due && to.teaches[best]) bear(of, &at, &rules, best, first);
+    for (int64_t c = 0; c < of->n; c++)
+        if (to.again >> c & 1) at.measured[c] = NOT_A_NUMBER;
     at.number[ROW] += 1.0;
     write_estimate(of, numbers, memory, estimate);
     tape_close(room);

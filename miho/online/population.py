@@ -29,7 +29,7 @@ BEYOND = 1e150
 MOST_TRACKED = 64
 """Largest number of hypotheses, parameters, outputs or inputs in the machine, as in track.h."""
 OVER = 0.01
-"""Share of the drift of a fresh hypothesis that no longer counts."""
+"""Share of the drift of a fresh hypothesis, or of an inlier, that no longer counts."""
 TOGETHER = 0.5
 """Probability that an output is an outlier if another one of the row is."""
 RISE = 1.02
@@ -72,7 +72,9 @@ class Population:
         sizes = layout.K, d, layout.m, layout.p, layout.q, layout.n
         able = by_machine and max(sizes) <= MOST_TRACKED
         tape = formula.tape.in_machine if isinstance(formula, TapedFormula) and able else None
-        self._machine = None if tape is None else (machine().track, tape, sizes, rules.packed)
+        self._machine = (
+            None if tape is None else (machine().update_population, tape, sizes, rules.packed)
+        )
 
     def begin(self, theta: Array, covariance: Array, peak: Array) -> None:
         """Set three hypotheses, of long, middle and short memory, at the prior."""
@@ -133,14 +135,16 @@ class Population:
         y = np.where(usable, y, math.nan)
         if usable.any():
             row, noise = self._smoothed(x, seconds)
-            self._begin_states(x, row, noise)
+            began = self._begin_states(x, row, noise)
         self.measured[:] = y[: self.layout.n]
         if usable.any():
             with np.errstate(over="ignore", invalid="ignore"):
-                teaches = self._learn(living, grown, row, noise, y)
+                teaches, outliers = self._learn(living, grown, row, noise, y)
         best, first = self._judge(living)
         if usable.any() and self["row"] % self.rules.every == 0 and teaches[best]:
             self._bear(best, first)
+        if usable.any():  # a state that an outlier began, at either end of the row, begins again
+            self.measured[began & outliers] = math.nan
         self["row"] += 1
 
     def _pass(self, time: float) -> float:
@@ -194,11 +198,13 @@ class Population:
             self.drift[s] = calm + (burst if burst > OVER * rules.burst else 0.0)
         return grown
 
-    def _begin_states(self, x: Array, row: Array, noise: Array) -> None:
-        """Begin states at the row's values, if these are not what the last row measured."""
-        for c in np.flatnonzero(x[: self.layout.n] != self.measured).tolist():
+    def _begin_states(self, x: Array, row: Array, noise: Array) -> NDArray[np.bool_]:
+        """Begin states at the row's values, if the last row measured others; returns these (n,)."""
+        began = np.asarray(x[: self.layout.n] != self.measured)
+        for c in np.flatnonzero(began).tolist():
             for s in range(self.layout.K):
                 self._set_state(s, c, row[c], (noise[c] / self.rules.noise[c]) ** 2)
+        return began
 
     def _set_state(self, s: int, c: int, value: float, variance: float) -> None:
         """Set the state c of hypothesis s to a measured value."""
@@ -209,8 +215,12 @@ class Population:
 
     def _learn(
         self, living: NDArray[np.intp], grown: Array, row: Array, noise: Array, y: Array
-    ) -> NDArray[np.bool_]:
-        """Weigh and improve each hypothesis; returns those (K,) that a watched parameter learns."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Weigh and improve each hypothesis.
+
+        Returns those (K,) that a watched parameter learns, and the states (n,) whose measured value
+        is an outlier to the best one.
+        """
         rules, d, n = self.rules, self.layout.d, self.layout.n
         rows = np.tile(row, (self.layout.K, 1))
         rows[:, :n] = self.theta[:, d:]
@@ -225,25 +235,28 @@ class Population:
         informs = (information[best] >= rules.use * self.peak) & watched
         counts = bool(informs.any() or not watched.any())
         free = (information >= rules.use * self.peak) | ~watched
+        outliers = np.zeros(n, dtype=bool)
         for s in living:
             if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
                 self.weight[s] += math.log(SMALLEST)
                 for c in range(n):
                     self._set_state(s, c, self.measured[c], 1.0)
                 continue
-            taught, gain = self._correct(s, slopes.values[:, s], J[:, s], noisy[:, s], free[s], y)
+            taught, gain, kept = self._correct(
+                s, slopes.values[:, s], J[:, s], noisy[:, s], free[s], y
+            )
             if not counts:
                 self.weight[s] = weights[s]
             self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
             self.share[s] += taught
             if s == best:
-                self["gain"] = gain
+                self["gain"], outliers = gain, kept[:n] < OVER
         # A row with a wrong input may fit a change alone: a row says at most that it is no outlier.
         usable = np.count_nonzero(~np.isnan(y))
         most = self.weight[best] - weights[best]
         most -= math.log(rules.outliers) + (usable - 1) * math.log(TOGETHER)
         self.weight[living] = np.minimum(self.weight[living], weights[living] + most)
-        return np.asarray((free & watched).any(axis=1))
+        return np.asarray((free & watched).any(axis=1)), outliers
 
     def _note(self, information: Array) -> None:
         """Note the information (d,) of a row, and the parameters that it informs."""
@@ -255,14 +268,15 @@ class Population:
 
     def _correct(
         self, s: int, values: Array, J: Array, noisy: Array, free: NDArray[np.bool_], y: Array
-    ) -> tuple[Array, float]:
-        """Steps by all outputs, states last; returns the shares taught (d,) and the information.
+    ) -> tuple[Array, float, Array]:
+        """Steps by all outputs, states last.
 
-        `noisy` is the variance (m, q) of each output by the noise of each input.
+        Returns the shares taught (d,), the information, and the share (m,) of the inlier of each
+        output. `noisy` is the variance (m, q) of each output by the noise of each input.
         """
         d, n, theta, P = self.layout.d, self.layout.n, self.theta[s], self.P[s]
         own, others = self.rules.sigma**2, noisy[:, n:].sum(axis=1)
-        before, total, taught, together = theta.copy(), 0.0, np.zeros(d), 1.0
+        before, total, taught, shares = theta.copy(), 0.0, np.zeros(d), np.ones(y.size)
         able = np.append(free, np.full(n, True))
         for o in (*range(n, y.size), *range(n)):
             if o == 0 < n:
@@ -275,13 +289,13 @@ class Population:
             else:
                 j, r = J[o], own[o] + others[o]
                 e = y[o] - values[o] - j @ ((theta - before) / self.unit)
+            together = max(float(shares.min()), 1 / LARGEST_NOISE)
             kept, each = self._step(s, e, j, r, able, together)
-            together, total = min(together, kept or 1 / LARGEST_NOISE), total + kept * worth
-            taught += each
+            shares[o], total, taught = kept, total + kept * worth, taught + each
             if o < n:  # with an outlier, the state may have jumped instead
                 jump = min(0.25 * e * e, self.rules.width * r)
                 P[d + o, d + o] += (1 - kept) * jump / self.unit[d + o] ** 2
-        return np.clip(taught, 0.0, 1.0), total
+        return np.clip(taught, 0.0, 1.0), total, shares
 
     def _step(
         self, s: int, e: float, j: Array, r: float, able: NDArray[np.bool_], together: float
@@ -291,7 +305,8 @@ class Population:
         Pj = P @ j
         S = float(j @ Pj) + r
         wide = S + rules.width * r
-        if not (abs(e) < BEYOND and LARGEST_NOISE * wide < BEYOND**2):  # says nothing
+        # An impossible error says nothing; nor does a step without a number.
+        if not (abs(e) < LARGEST_NOISE * math.sqrt(wide) and LARGEST_NOISE * wide < BEYOND**2):
             self.weight[s] += math.log(SMALLEST)
             return 0.0, np.zeros(d)
         share = rules.outliers * together + TOGETHER * (1 - together)
@@ -312,9 +327,10 @@ class Population:
         """Move the states to the end of the row; `others` is the variance (m,) by other inputs."""
         d, n, theta, P = self.layout.d, self.layout.n, self.theta[s], self.P[s]
         theta[d:] = values[:n] + J[:n] @ ((theta - before) / self.unit)
-        onward = np.eye(d + n)
-        onward[d:] = J[:n] / self.unit[d:, None]
-        P[:] = onward @ P @ onward.T
+        onward = J[:n] / self.unit[d:, None]
+        carried = onward @ P
+        own = carried @ onward.T
+        P[d:, :d], P[:d, d:], P[d:, d:] = carried[:, :d], carried[:, :d].T, own
         more = self.rules.step_error**2 + others[:n] / self.unit[d:] ** 2
         P[np.arange(d, d + n), np.arange(d, d + n)] += more
 

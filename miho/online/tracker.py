@@ -217,6 +217,7 @@ class Tracker(Running):
         if self._steps is not None and input_noise is None:
             input_noise = self._steps.noise(self.system.sigma)
         deviations = _noise_of(self.system, input_noise or {})
+        self._main = self.system.outputs[0].column
         # States come first, then the other inputs with noise.
         states = self.system.states(deviations)
         self.system = self.system.with_first(states)
@@ -389,7 +390,7 @@ class Tracker(Running):
         outputs = {output.column: output for output in self.system.outputs}
         if column is not None and column not in outputs:
             raise ValueError(f"output is {column!r}; expected one of {', '.join(outputs)}")
-        return self.system.outputs[0] if column is None else outputs[column]
+        return outputs[self._main if column is None else column]
 
     def _rows(self, rows: Rows) -> Array:
         """Rows (n, p + m + 1) of inputs, outputs and time."""

@@ -136,7 +136,7 @@ def test_the_door_refuses_other_arrays(position: int, change: str) -> None:
         "strided": np.repeat(array, 2)[::2],
     }[change]
     with pytest.raises((ValueError, BufferError)):
-        machine().track(*given)
+        machine().update_population(*given)
 
 
 @pytest.mark.parametrize(
@@ -152,22 +152,22 @@ def test_the_door_refuses_other_sizes(sizes: Any) -> None:
     given = arguments()
     given[1] = sizes
     with pytest.raises((ValueError, TypeError)):
-        machine().track(*given)
+        machine().update_population(*given)
 
 
 def test_the_door_refuses_what_it_must_not_write() -> None:
     given = arguments()
     given[4].flags.writeable = False
     with pytest.raises((ValueError, BufferError)):
-        machine().track(*given)
+        machine().update_population(*given)
     given = arguments()
     given[5] = given[4][: given[5].size]
     with pytest.raises(ValueError, match="overlaps"):
-        machine().track(*given)
+        machine().update_population(*given)
     with pytest.raises(ValueError, match="no tape"):
-        machine().track(None, *given[1:])
+        machine().update_population(None, *given[1:])
     with pytest.raises(TypeError):
-        machine().track(*given[:-1])
+        machine().update_population(*given[:-1])
 
 
 @pytest.mark.parametrize("filling", [0.0, np.nan, np.inf, -np.inf, 1e300, -1e300, 5e-324])
@@ -176,7 +176,7 @@ def test_no_content_leads_out_of_bounds(filling: float) -> None:
         given = arguments()
         given[position][:] = filling
         for _ in range(3):
-            machine().track(*given)
+            machine().update_population(*given)
 
 
 def test_intervals_of_the_machine() -> None:

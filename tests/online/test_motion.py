@@ -232,3 +232,24 @@ def test_a_quiet_record_calibrates_without_a_step_into_it() -> None:
     calibration = tracker.calibrate(drive(22.0))
     assert 0 < calibration.scale < 1  # the noise of a state is in two rows
     np.testing.assert_array_equal(tracker.update(rows).theta, other.update(rows).theta)
+
+
+@pytest.mark.parametrize("value", [20.0, 1e3, 1e12])
+@pytest.mark.parametrize("lost", [False, True], ids=["in a motion", "after a missing value"])
+@pytest.mark.parametrize("by_machine", [True, False])
+def test_one_wrong_value_of_a_state_changes_nothing(
+    value: float, lost: bool, by_machine: bool
+) -> None:
+    """Neither in a motion, nor where the motion begins again because a value is missing."""
+    tracker: Any = Tracker(decay_problem(), {"a": (1.5, 0.3)}, {"a": 0.3})
+    if not by_machine:
+        tracker._population._machine = None
+    rng, x = np.random.default_rng(0), 2.0
+    for i in range(200):
+        force, seen = 6 * np.sin(0.05 * i), x + 0.1 * rng.standard_normal()
+        seen = value if i == 51 else float("nan") if lost and i == 50 else seen
+        state = tracker.update({"t": 0.05 * i, "force": force, "x": seen})
+        assert state.alarm is None
+        x += 0.05 * (force - 1.5 * x)
+    assert state.theta[0] == pytest.approx(1.5, abs=3 * state.deviations[0])
+    assert state.deviations[0] < 0.05
