@@ -8,8 +8,9 @@ if TYPE_CHECKING:
     from miho.online.calibration import Calibration
     from miho.online.method import OnlineMethod, Running
     from miho.online.motion import one_step
+    from miho.online.settings import TrackerSettings
     from miho.online.state import Alarm, Mixture, TrackerState
-    from miho.online.tracker import Tracker, TrackerSettings
+    from miho.online.tracker import Tracker
 
 __all__ = [
     "Alarm",

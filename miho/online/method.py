@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
+from miho.online.outputs import TIME
 from miho.online.state import TrackerState
 from miho.quantities import Array
 
@@ -49,6 +51,38 @@ def numbers_of(name: str, column: Any) -> Array:
         return np.atleast_1d(np.asarray(column, dtype=float))
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"rows: column {name!r} is {column!r:.60}; expected numbers") from None
+
+
+def rows_of(rows: Rows, names: Sequence[str], first: float, period: float) -> Array:
+    """Rows (n, k + 1) of the columns with these names and of the time.
+
+    Without a column of the time, the rows follow one another by `period` [s] from `first` on.
+    Raises ValueError if a column is missing or not of numbers, or columns differ in length.
+    """
+    columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
+    try:
+        numbers = [columns[name] for name in names]
+    except KeyError as error:
+        raise ValueError(
+            f"rows: no column {error.args[0]!r}; expected {', '.join(names)}, and NaN "
+            "for a missing value"
+        ) from None
+    except (TypeError, IndexError):
+        kind = type(rows).__name__
+        raise ValueError(f"rows is a {kind}; expected a Dataset, or columns by name") from None
+    single = [*numbers, columns.get(TIME, first)]
+    if all(isinstance(number, float | int) for number in single):
+        with contextlib.suppress(OverflowError):
+            return np.array([single], dtype=float)
+    values = [numbers_of(*pair) for pair in zip(names, numbers, strict=True)]
+    count = values[0].size
+    values.append(numbers_of(TIME, columns.get(TIME, first + period * np.arange(count))))
+    for name, column in zip([*names, TIME], values, strict=True):
+        if column.shape != (count,):
+            raise ValueError(
+                f"rows: column {name!r} has the shape {column.shape}; expected ({count},)"
+            )
+    return np.column_stack(values)
 
 
 class Running(ABC):

@@ -15,6 +15,7 @@ from miho.models.model import Model
 from miho.models.tied import Tied
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
+from miho.validate import at_least
 
 TIME = "time"
 """Column of the time of a row [s]."""
@@ -184,3 +185,14 @@ def _common(problems: Sequence[CurveFit]) -> Space:
                     "expected the same in all problems"
                 )
     return Space(tuple(known.values()))
+
+
+def noise_of(system: System, noise: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviations of inputs with noise."""
+    for name, deviation in noise.items():
+        if name not in system.inputs:
+            raise ValueError(
+                f"input_noise: no input {name!r}; expected one of {', '.join(system.inputs)}"
+            )
+        at_least(f"input_noise.{name}", deviation, 0.0)
+    return {name: float(deviation) for name, deviation in noise.items() if deviation > 0}

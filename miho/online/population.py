@@ -242,7 +242,7 @@ class Population:
                 for c in range(n):
                     self._set_state(s, c, self.measured[c], 1.0)
                 continue
-            taught, gain, kept = self._correct(
+            taught, gain, shares = self._correct(
                 s, slopes.values[:, s], J[:, s], noisy[:, s], free[s], y
             )
             if not counts:
@@ -250,7 +250,7 @@ class Population:
             self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
             self.share[s] += taught
             if s == best:
-                self["gain"], outliers = gain, kept[:n] < OVER
+                self["gain"], outliers = gain, shares[:n] < OVER
         # A row with a wrong input may fit a change alone: a row says at most that it is no outlier.
         usable = np.count_nonzero(~np.isnan(y))
         most = self.weight[best] - weights[best]
@@ -412,6 +412,6 @@ class Population:
 
 def _population(layout: Layout, rules: Rules, formula: RowFormula, memory: Array) -> Population:
     """A population with this memory."""
-    made = Population(layout, rules, formula)
-    made.memory[:] = memory
-    return made
+    population = Population(layout, rules, formula)
+    population.memory[:] = memory
+    return population

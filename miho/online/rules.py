@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from miho.online.outputs import System
+from miho.online.prior import place_of
 from miho.online.state import Mixture
 from miho.quantities import Array
+from miho.validate import positive
+
+if TYPE_CHECKING:
+    from miho.online.settings import TrackerSettings
 
 NUMBERS = ("row", "clock", "last_time", "since", "quiet_until", "turn", "odds", "alarm", "gain")
 """Counters of a population. `clock` is the time that has passed [s], `since` the last row that
 counts as before a change, `gain` the information that the last row gave the best hypothesis."""
 
 
+JUMP = 0.35
+"""Share of its value by which a parameter may jump, unless `changes` says otherwise."""
 PLACE = {name: k for k, name in enumerate(NUMBERS)}
 
 
@@ -135,3 +145,45 @@ class Rules:
         """All numbers in their order."""
         numbers = [np.atleast_1d(getattr(self, field.name)) for field in fields(self)]
         return np.concatenate(numbers).astype(float)
+
+
+def rules_of(
+    settings: TrackerSettings,
+    system: System,
+    theta: Array,
+    covariance: Array,
+    changes: Mapping[str, float] | None,
+    noise: Mapping[str, float],
+) -> Rules:
+    """The rules of a tracker; units are jumps of watched parameters, and deviations of others."""
+    if changes is None:
+        changes = dict.fromkeys(system.names, JUMP)
+    deviations = np.sqrt(np.diag(covariance))
+    unit, watched = deviations.copy(), np.zeros(theta.size)
+    for name, share in changes.items():
+        k = place_of("changes", name, system.names)
+        positive(f"changes.{name}", share)
+        watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
+    names = ("hazard", "outliers", "width", "threshold", "near", "use", "smooth", "hold", "gap",
+             "every", "repeats", "cap", "step_error", "burst", "settle")  # fmt: skip
+    return Rules(
+        **{name: float(getattr(settings, name)) for name in names},
+        **dict(zip(("long", "middle", "short"), settings.drifts, strict=True)),
+        unit=unit,
+        low=system.space.low,
+        high=system.space.high,
+        watched=watched,
+        sigma=system.sigma,
+        noise=np.array([*noise.values()], dtype=float),
+    )
+
+
+def peak_of(system: System, rules: Rules, theta: Array) -> Array:
+    """The largest information (d,) of a row of the offline data on each parameter."""
+    peak = np.zeros(theta.size)
+    for output in system.outputs:
+        own = [system.names.index(name) for name in output.parameters]
+        slopes = np.abs(output.model.jacobian(theta[own], *output.examples()))
+        largest = np.where(np.isfinite(slopes), slopes, 0.0).max(axis=0) * rules.unit[own]
+        peak[own] = np.hypot(peak[own], largest / output.sigma)
+    return peak

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,125 +16,21 @@ from miho.identification.report import Report
 from miho.models.identified import Identified
 from miho.online.calibration import Calibration, calibration, fitted_to
 from miho.online.informative import InformativeRows
-from miho.online.method import OnlineMethod, Problems, Rows, Running, numbers_of
+from miho.online.method import Problems, Rows, Running, rows_of
 from miho.online.motion import StepRows, is_motion, one_step
-from miho.online.outputs import TIME, Output, System, system_of
+from miho.online.outputs import TIME, Output, noise_of, system_of
 from miho.online.population import Population
 from miho.online.present import present_parameters
-from miho.online.prior import place_of, start_of
-from miho.online.rules import Layout, Rules
+from miho.online.prior import start_of
+from miho.online.rules import Layout, peak_of, rules_of
+from miho.online.settings import Prior, settings_of
 from miho.online.slopes import row_formula
 from miho.online.state import Alarm, Change, TrackerState, alarm_of
 from miho.quantities import Array
-from miho.validate import at_least, between_0_and_1, number_or_infinity, positive, whole
+from miho.validate import positive
 
-JUMP = 0.35
-"""Share of its value by which a parameter may jump, unless `changes` says otherwise."""
 RECENT = 2.0
 """Time for which a row counts as recent [s]."""
-Prior = Report | Mapping[str, tuple[float, float]] | None
-
-
-@dataclass(frozen=True)
-class TrackerSettings(OnlineMethod):
-    """Settings of a tracker.
-
-    Drifts are standard deviations of a random walk over one second, in jumps of the parameter.
-
-    Parameters
-    ----------
-    hazard : float, optional
-        Probability of a fresh hypothesis of a jump.
-    outliers : float, optional
-        Share of rows that are outliers. The odds of a change rise by at most one over this share
-        in a row with one output, so a smaller share gives a quicker alarm.
-    width : float, optional
-        Variance of outliers, in variances of the noise.
-    threshold : float, optional
-        Logarithm of the odds of a change that raise the alarm.
-    near : float, optional
-        Smallest change that the alarm counts, in jumps.
-    drifts : tuple of float, optional
-        Drifts of hypotheses of long, middle and short memory.
-    use : float, optional
-        A row teaches a watched parameter if its information is at least this share of the best
-        row's.
-    smooth : float, optional
-        Memory of the mean and variance of inputs with noise [s].
-    hold : float, optional
-        Time after an alarm in which there is no other [s].
-    repeats : int, optional
-        An output that repeats this number of times to the last digit is frozen.
-    gap : float, optional
-        Longest time between two rows that counts as drift [s].
-    every : int, optional
-        Number of rows from one fresh hypothesis to the next.
-    slots : int, optional
-        Number of hypotheses.
-    cap : float, optional
-        Drift widens a parameter up to this variance, in squared jumps.
-    kept : int, optional
-        Number of informative rows to keep, see `Tracker.dataset`.
-    step_error : float, optional
-        Standard deviation of a model's error in one step of a state, in that of the measured state.
-    burst : float, optional
-        Further drift of the watched parameters in a fresh hypothesis, because a jump takes a while.
-    settle : float, optional
-        Time in which this further drift decays [s].
-
-    Raises
-    ------
-    ValueError
-        If a setting is out of its range.
-    """
-
-    hazard: float = 8e-4
-    outliers: float = 0.02
-    width: float = 400.0
-    threshold: float = 3.0
-    near: float = 1 / 7
-    drifts: tuple[float, float, float] = (0.002, 0.15, 0.43)
-    use: float = 0.27
-    smooth: float = 2.0
-    hold: float = 1.5
-    repeats: int = 2
-    gap: float = 10.0
-    every: int = 3
-    slots: int = 16
-    cap: float = 0.75
-    kept: int = 500
-    step_error: float = 0.05
-    burst: float = 2.0
-    settle: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name in ("hazard", "outliers"):
-            between_0_and_1(name, getattr(self, name))
-        for name in ("width", "near", "use", "smooth", "gap", "cap", "settle"):
-            positive(name, getattr(self, name))
-        for name in ("hold", "step_error", "burst"):
-            at_least(name, getattr(self, name), 0.0)
-        number_or_infinity("threshold", self.threshold)
-        whole("repeats", self.repeats, 1)
-        whole("every", self.every, 1)
-        whole("kept", self.kept, 1)
-        whole("slots", self.slots, 4, 64)
-        drifts = tuple(self.drifts)
-        if len(drifts) != 3 or not all(0 <= drift < math.inf for drift in drifts):
-            raise ValueError(f"drifts is {self.drifts!r}; expected three numbers of at least 0")
-        object.__setattr__(self, "drifts", drifts)
-
-    def start(
-        self,
-        problem: Problems,
-        prior: Prior = None,
-        changes: Mapping[str, float] | None = None,
-        input_noise: Mapping[str, float] | None = None,
-        period: float = 0.02,
-    ) -> Tracker:
-        """Return a tracker that has seen no row; see `Tracker`."""
-        own = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Tracker(problem, prior, changes, input_noise, period, **own)
 
 
 class Tracker(Running):
@@ -202,7 +97,7 @@ class Tracker(Running):
         if isinstance(problem, Report):
             prior = problem if prior is None else prior
             problem = problem.problem
-        self.settings = _settings(settings)
+        self.settings = settings_of(settings)
         positive("period", period)
         for name, given in (("changes", changes), ("input_noise", input_noise)):
             if given is not None and not isinstance(given, Mapping):
@@ -216,7 +111,7 @@ class Tracker(Running):
         self.system = system_of(problem, noise)
         if self._steps is not None and input_noise is None:
             input_noise = self._steps.noise(self.system.sigma)
-        deviations = _noise_of(self.system, input_noise or {})
+        deviations = noise_of(self.system, input_noise or {})
         self._main = self.system.outputs[0].column
         # States come first, then the other inputs with noise.
         states = self.system.states(deviations)
@@ -224,13 +119,13 @@ class Tracker(Running):
         deviations = {name: deviations[name] for name in dict.fromkeys((*states, *deviations))}
         self.columns = (*deviations, *(n for n in self.system.inputs if n not in deviations))
         theta, covariance = start_of(self.system, prior)
-        self._rules = _rules(self.settings, self.system, theta, covariance, changes, deviations)
+        self._rules = rules_of(self.settings, self.system, theta, covariance, changes, deviations)
         self._scale = 1.0
         formula = row_formula(self.system, self.columns, self._rules.noise)
         d, m, n = len(self.system.names), len(self.system.outputs), len(states)
         layout = Layout(self.settings.slots, d, m, len(self.columns), len(deviations), n)
         self._population = Population(layout, self._rules, formula)
-        self._population.begin(theta, covariance, _peak(self.system, self._rules, theta))
+        self._population.begin(theta, covariance, peak_of(self.system, self._rules, theta))
         self._names = [*self.columns, *(output.column for output in self.system.outputs)]
         self._bounds = self._rules.low, self._rules.high
         self._change: tuple[Change, float] | None = None
@@ -394,32 +289,9 @@ class Tracker(Running):
 
     def _rows(self, rows: Rows) -> Array:
         """Rows (n, p + m + 1) of inputs, outputs and time."""
-        columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
         last = self._population["last_time"]
         first = 0.0 if math.isnan(last) else last + self.period
-        try:
-            numbers = [columns[name] for name in self._names]
-        except KeyError as error:
-            raise ValueError(
-                f"rows: no column {error.args[0]!r}; expected {', '.join(self._names)}, and NaN "
-                "for a missing value"
-            ) from None
-        except (TypeError, IndexError):
-            kind = type(rows).__name__
-            raise ValueError(f"rows is a {kind}; expected a Dataset, or columns by name") from None
-        single = [*numbers, columns.get(TIME, first)]
-        if all(isinstance(number, float | int) for number in single):
-            with contextlib.suppress(OverflowError):
-                return np.array([single], dtype=float)
-        values = [numbers_of(*pair) for pair in zip(self._names, numbers, strict=True)]
-        count = values[0].size
-        values.append(numbers_of(TIME, columns.get(TIME, first + self.period * np.arange(count))))
-        for name, column in zip([*self._names, TIME], values, strict=True):
-            if column.shape != (count,):
-                raise ValueError(
-                    f"rows: column {name!r} has the shape {column.shape}; expected ({count},)"
-                )
-        return np.column_stack(values)
+        return rows_of(rows, self._names, first, self.period)
 
     def _snapshot(self, estimate: Array, alarm: Alarm | None, seconds: float) -> TrackerState:
         population = self._population
@@ -438,63 +310,3 @@ class Tracker(Running):
             scale=self._scale,
             bounds=self._bounds,
         )
-
-
-def _settings(settings: Mapping[str, Any]) -> TrackerSettings:
-    known = [field.name for field in fields(TrackerSettings)]
-    for name in settings:
-        if name not in known:
-            raise ValueError(f"Tracker: no setting {name!r}; expected one of {', '.join(known)}")
-    return TrackerSettings(**settings)
-
-
-def _noise_of(system: System, noise: Mapping[str, float]) -> dict[str, float]:
-    """Standard deviations of inputs with noise."""
-    for name, deviation in noise.items():
-        if name not in system.inputs:
-            raise ValueError(
-                f"input_noise: no input {name!r}; expected one of {', '.join(system.inputs)}"
-            )
-        at_least(f"input_noise.{name}", deviation, 0.0)
-    return {name: float(deviation) for name, deviation in noise.items() if deviation > 0}
-
-
-def _rules(
-    settings: TrackerSettings,
-    system: System,
-    theta: Array,
-    covariance: Array,
-    changes: Mapping[str, float] | None,
-    noise: Mapping[str, float],
-) -> Rules:
-    if changes is None:
-        changes = dict.fromkeys(system.names, JUMP)
-    deviations = np.sqrt(np.diag(covariance))
-    unit, watched = deviations.copy(), np.zeros(theta.size)
-    for name, share in changes.items():
-        k = place_of("changes", name, system.names)
-        positive(f"changes.{name}", share)
-        watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
-    names = ("hazard", "outliers", "width", "threshold", "near", "use", "smooth", "hold", "gap",
-             "every", "repeats", "cap", "step_error", "burst", "settle")  # fmt: skip
-    return Rules(
-        **{name: float(getattr(settings, name)) for name in names},
-        **dict(zip(("long", "middle", "short"), settings.drifts, strict=True)),
-        unit=unit,
-        low=system.space.low,
-        high=system.space.high,
-        watched=watched,
-        sigma=system.sigma,
-        noise=np.array([*noise.values()], dtype=float),
-    )
-
-
-def _peak(system: System, rules: Rules, theta: Array) -> Array:
-    """The largest information (d,) of a row of the offline data on each parameter."""
-    peak = np.zeros(theta.size)
-    for output in system.outputs:
-        own = [system.names.index(name) for name in output.parameters]
-        slopes = np.abs(output.model.jacobian(theta[own], *output.examples()))
-        largest = np.where(np.isfinite(slopes), slopes, 0.0).max(axis=0) * rules.unit[own]
-        peak[own] = np.hypot(peak[own], largest / output.sigma)
-    return peak
