@@ -78,14 +78,14 @@ class Rows(NamedTuple):
     """Residuals and derivatives of the rows of the data, for the machine.
 
     `calls` (4,) are the addresses of two functions, for residuals and derivatives, and of the tapes
-    that they receive; `kept` owns the tapes and must live as long. X (p, N) and y (N,) are the data
+    that they receive; `tapes` owns these and must live as long. X (p, N) and y (N,) are the data
     in the order of a fidelity.
     """
 
     calls: Integers
     X: Array
     y: Array
-    kept: Any
+    tapes: Any
 
 
 class Kernel(Protocol):

@@ -98,4 +98,4 @@ def bracket_of(rows: Rows) -> Callable[..., int]:
     infinite, and the derivatives that are not finite. `room` has
     the size `room_for`.
     """
-    return partial(machine().run_bracket, rows.calls, rows.kept, rows.X, rows.y)
+    return partial(machine().run_bracket, rows.calls, rows.tapes, rows.X, rows.y)

@@ -79,10 +79,10 @@ class TapedLoss:
 
     def rows_of(self, X: Array, y: Array) -> Rows:
         """Residuals and derivatives of these rows."""
-        kept = [tape.in_machine for tape in (self.value, self.slopes)]
+        tapes = [tape.in_machine for tape in (self.value, self.slopes)]
         functions = machine().functions()[:2]
-        calls = np.array([*functions, *map(machine().address, kept)], dtype=np.int64)
-        return Rows(calls, X, y, kept)
+        calls = np.array([*functions, *map(machine().address, tapes)], dtype=np.int64)
+        return Rows(calls, X, y, tapes)
 
     @cached_property
     def ordered(self) -> tuple[Array, Array]:

@@ -187,8 +187,9 @@ def _run(code: Sequence[Instruction], registers: list[Any], scalars: list[Any]) 
     for name, operands, results in code:
         with_scalar = name in WITH_SCALAR
         values = [(scalars if with_scalar and i else registers)[k] for i, k in enumerate(operands)]
-        made = OPERATIONS[name](*values)
-        for register, value in zip(results, made if len(results) > 1 else (made,), strict=True):
+        outcome = OPERATIONS[name](*values)
+        outcomes = outcome if len(results) > 1 else (outcome,)
+        for register, value in zip(results, outcomes, strict=True):
             registers[register] = value
 
 

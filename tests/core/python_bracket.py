@@ -46,12 +46,12 @@ SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES = range(5)
 
 def residuals(rows: Rows, theta: Array, i: int, j: int) -> Array:
     """Of rows i to j, (j - i,)."""
-    return evaluated(rows.kept[0], theta, rows.X[:, i:j], 1)[0] - rows.y[i:j]
+    return evaluated(rows.tapes[0], theta, rows.X[:, i:j], 1)[0] - rows.y[i:j]
 
 
 def slopes(rows: Rows, theta: Array, i: int, j: int) -> Array:
     """The derivatives of those, (d, j - i)."""
-    return evaluated(rows.kept[1], theta, rows.X[:, i:j], theta.size)
+    return evaluated(rows.tapes[1], theta, rows.X[:, i:j], theta.size)
 
 
 def evaluated(tape: Any, theta: Array, X: Array, results: int) -> Array:

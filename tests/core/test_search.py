@@ -158,7 +158,7 @@ def at_level(problem: CurveFit, level: int) -> CurveFit:
     kernel = other.kernel
     assert kernel is not None
     tapes = [tape.at_level(level) for tape in (kernel.taped.value, kernel.taped.slopes)]
-    vars(kernel.taped)["rows"] = kernel.taped.rows._replace(kept=tapes)
+    vars(kernel.taped)["rows"] = kernel.taped.rows._replace(tapes=tapes)
     return other
 
 
@@ -327,7 +327,7 @@ def a_call() -> dict[str, Any]:
     assert problem.kernel is not None
     rows = problem.kernel.rows
     assert rows is not None
-    return dict(zip(CALL, [rows.calls, rows.kept, rows.X, rows.y], strict=False)) | taken
+    return dict(zip(CALL, [rows.calls, rows.tapes, rows.X, rows.y], strict=False)) | taken
 
 
 def run(arguments: dict[str, Any]) -> int:
