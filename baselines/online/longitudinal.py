@@ -133,7 +133,7 @@ def longitudinal_problem(estimate: Array) -> CurveFit:
 
 def _driven(rng: np.random.Generator, theta: Array) -> dict[str, Array]:
     """Columns of the drive, without noise."""
-    made = np.empty((len(theta), 4))
+    rows = np.empty((len(theta), 4))
     speed, braking, share, target = SPEEDS[0], False, 0.8, 50.0
     for k, (mass, gain, drag) in enumerate(theta.tolist()):
         if (speed <= target) if braking else (speed >= target):
@@ -144,6 +144,6 @@ def _driven(rng: np.random.Generator, theta: Array) -> dict[str, Array]:
         acceleration = (traction - gain * pressure - drag * speed * speed) / mass
         if not braking and acceleration < 0.2:
             target = speed
-        made[k] = traction, pressure, speed, acceleration
+        rows[k] = traction, pressure, speed, acceleration
         speed += STEP * acceleration
-    return dict(zip((*Acceleration.inputs, "acceleration"), made.T, strict=True))
+    return dict(zip((*Acceleration.inputs, "acceleration"), rows.T, strict=True))

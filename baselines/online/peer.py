@@ -54,7 +54,7 @@ class PeerMethod(OnlineMethod):
             The runs.
         """
         defaults = {"prior": None, "changes": None, "input_noise": None, "period": 0.02}
-        return self.run(abreast([setup_of(**{**defaults, **one}) for one in arguments]))
+        return self.run(abreast([setup_of(**{**defaults, **own}) for own in arguments]))
 
 
 class Peer(Running):

@@ -53,9 +53,9 @@ class _RecursiveLeastSquaresRun(Peer):
         self.forgetting = settings.forgetting
         linear = {
             name
-            for one in setup.system.outputs
-            for name, own in zip(one.parameters, one.model.parameters, strict=True)
-            if own in one.model.linear
+            for output in setup.system.outputs
+            for name, own in zip(output.parameters, output.model.parameters, strict=True)
+            if own in output.model.linear
         }
         self.learns = (setup.changes[0] > 0) | np.isin(setup.names, list(linear))
         self.limits = settings.reach * setup.largest_slopes[..., setup.watched]

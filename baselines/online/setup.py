@@ -126,7 +126,7 @@ class Setup:
     def rows(self, rows: Rows) -> Iterator[tuple[float, Array, Array]]:
         """Yield time (NaN without it), inputs (p,) and outputs (m,) of each row; NaN is missing."""
         columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
-        names = (TIME, *self.columns, *(one.column for one in self.system.outputs))
+        names = (TIME, *self.columns, *(output.column for output in self.system.outputs))
         values = [columns.get(name, np.nan) for name in names]
         p = 1 + len(self.columns)
         if all(isinstance(value, float) for value in values):
@@ -164,22 +164,22 @@ class Setup:
         else:
             each = np.empty((len(flat), m, 1 + d + q))
             for k, (theta, row) in enumerate(zip(flat, rows, strict=True)):
-                made = self.formula.at(theta[None], row[None])
-                each[k, :, 0], each[k, :, 1 : 1 + d] = made.values[:, 0], made.parameters[:, 0]
-                each[k, :, 1 + d :] = made.inputs[:, 0]
+                slopes = self.formula.at(theta[None], row[None])
+                each[k, :, 0], each[k, :, 1 : 1 + d] = slopes.values[:, 0], slopes.parameters[:, 0]
+                each[k, :, 1 + d :] = slopes.inputs[:, 0]
             each = each.reshape(*shape, m, 1 + d + q)
         variances = self.system.sigma**2 + each[..., 1 + d :] ** 2 @ self.input_noise**2
         return Predicted(each[..., 0], each[..., 1 : 1 + d], variances)
 
     def outputs(self, thetas: Array, x: Array) -> Array:
         """Return the outputs (S, m, n) of configurations (S, n, d) at inputs (S, p)."""
-        made = np.empty((len(x), len(self.system.outputs), thetas.shape[1]))
-        for o, one in enumerate(self.system.outputs):
-            own = [self.names.index(name) for name in one.parameters]
-            inputs = [self.columns.index(name) for name in one.model.inputs]
+        values = np.empty((len(x), len(self.system.outputs), thetas.shape[1]))
+        for o, output in enumerate(self.system.outputs):
+            own = [self.names.index(name) for name in output.parameters]
+            inputs = [self.columns.index(name) for name in output.model.inputs]
             for k, row in enumerate(x):
-                made[k, o] = one.model.predict(thetas[k][:, own], *row[inputs][:, None])[:, 0]
-        return made
+                values[k, o] = output.model.predict(thetas[k][:, own], *row[inputs][:, None])[:, 0]
+        return values
 
 
 def setup_of(
@@ -214,10 +214,10 @@ def setup_of(
     sizes = np.array([shares.get(name, 0.0) for name in system.names]) * np.abs(theta)
     slopes = np.zeros((len(system.outputs), theta.size))
     example = np.zeros(len(columns))
-    for o, one in enumerate(system.outputs):
-        own = [system.names.index(name) for name in one.parameters]
-        slopes[o, own] = np.abs(one.model.jacobian(theta[own], *one.examples())).max(axis=0)
-        for name, column in zip(one.model.inputs, one.examples(), strict=True):
+    for o, output in enumerate(system.outputs):
+        own = [system.names.index(name) for name in output.parameters]
+        slopes[o, own] = np.abs(output.model.jacobian(theta[own], *output.examples())).max(axis=0)
+        for name, column in zip(output.model.inputs, output.examples(), strict=True):
             example[columns.index(name)] = column[0]
     deviations = np.array(list(noise.values()), dtype=float)
     return Setup(
@@ -241,9 +241,9 @@ def abreast(setups: Sequence[Setup]) -> Setup:
     """
     return replace(
         setups[0],
-        theta=np.concatenate([one.theta for one in setups]),
-        covariance=np.concatenate([one.covariance for one in setups]),
-        changes=np.concatenate([one.changes for one in setups]),
-        largest_slopes=np.concatenate([one.largest_slopes for one in setups]),
-        example=np.concatenate([one.example for one in setups]),
+        theta=np.concatenate([setup.theta for setup in setups]),
+        covariance=np.concatenate([setup.covariance for setup in setups]),
+        changes=np.concatenate([setup.changes for setup in setups]),
+        largest_slopes=np.concatenate([setup.largest_slopes for setup in setups]),
+        example=np.concatenate([setup.example for setup in setups]),
     )

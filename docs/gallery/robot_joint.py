@@ -33,13 +33,13 @@ bounds["vs"] = {"low": 0.005, "high": 1, "scale": "log"}
 fit = miho.fit(torque, (q, v, a), tau, bounds)
 print(fit)
 
-found = fit.values
-rest = found["inertia"] * a + found["gravity"] * np.cos(q)
+values = fit.values
+rest = values["inertia"] * a + values["gravity"] * np.cos(q)
 speed = np.linspace(-1.4, 1.4, 701)
 figure, ax = plt.subplots()
 ax.plot(v, tau - rest, ".", markersize=3, label="torque without inertia and gravity (simulated)")
 names = ("Fc", "Fs", "vs", "b")
-ax.plot(speed, friction(speed, *(found[name] for name in names)), label="identified friction")
+ax.plot(speed, friction(speed, *(values[name] for name in names)), label="identified friction")
 ax.set(xlabel="joint speed [rad/s]", ylabel="friction torque [Nm]", ylim=(-8.5, 10.5))
 ax.legend(loc="upper left", markerscale=3)
 figure.savefig("robot_joint.png")

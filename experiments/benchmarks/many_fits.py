@@ -83,8 +83,8 @@ def measure(quick: bool) -> Measured:
             Bar("fit_many over JAX, CPU", each["fit_many, start"] / each[JAX], AT_LEAST, OVER_JAX,
                 "times")
         )  # fmt: skip
-    for name, given in (("start", start), ("no start", None)):
-        table = miho.fit_many(decay, t, y, BOX, start=given)
+    for name, initial in (("start", start), ("no start", None)):
+        table = miho.fit_many(decay, t, y, BOX, start=initial)
         share = float(np.mean(_as_good(table, t, y, truth)))
         bars.append(Bar(f"as good as SciPy's from the truth, {name}", share, AT_LEAST, 1.0))
     return Measured(frame[["form", "fits a second", "fits a CPU second", "speedup"]], frame, bars)

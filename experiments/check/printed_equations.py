@@ -108,7 +108,7 @@ def results(
     """Errors, friction uses and lap times until the car left the road; then only whole laps."""
     length, left = driver.plan.line.length, departure(drive, clearance)
     whole = math.inf if left is None else left.distance // length * length
-    kept = drive["distance"] < whole
+    complete = drive["distance"] < whole
     laps = int(min(whole, drive["distance"][-1] + 1.0) // length)  # the last row is a step short
     row: dict[str, object] = {
         "left the road after [m]": math.nan if left is None else left.distance,
@@ -130,7 +130,7 @@ def results(
         "the same by printed C_roll [N]": np.abs(printed * vy_rate),
     }
     row |= {
-        f"largest {name}": values[kept].max() if kept.any() else math.nan
+        f"largest {name}": values[complete].max() if complete.any() else math.nan
         for name, values in largest.items()
     }
     crossed = np.interp(length * np.arange(10), drive["distance"], drive["time"])

@@ -65,13 +65,13 @@ def comparable(root: Path, like: Identity) -> tuple[list[dict[str, Any]], int]:
     stored, others = [], 0
     for path in sorted(root.glob(f"*/{SCORE}")):
         try:
-            one = read_signed(str(path))
+            score = read_signed(str(path))
         except DamagedRun:
-            one = {}
-        same = all(one.get(name) == getattr(like, name) for name in SHARED)
-        settings = [dict(each or {}) for each in (one.get("config"), like.config)]
+            score = {}
+        same = all(score.get(name) == getattr(like, name) for name in SHARED)
+        settings = [dict(each or {}) for each in (score.get("config"), like.config)]
         if same and all(settings[0].get(key) == settings[1][key] for key in ("stream", "online")):
-            stored.append(one)
+            stored.append(score)
         else:
             others += 1
     return stored, others

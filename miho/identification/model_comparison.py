@@ -183,19 +183,19 @@ def compare_models(*reports: Report | Reporting) -> ModelComparison:
     """
     if len(reports) < 2:
         raise ValueError(f"compare_models: expected at least two reports, got {len(reports)}")
-    made = [given if isinstance(given, Report) else given.report() for given in reports]
-    names = [report.problem.name for report in made]
+    described = [fit if isinstance(fit, Report) else fit.report() for fit in reports]
+    names = [report.problem.name for report in described]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(
                 f"two reports are called {name!r}; give one function another name, or one CurveFit "
                 "another label"
             )
-    for report in made:
-        _check_same_data(made[0], report)
-        _check_same_sigma(made[0], report)
+    for report in described:
+        _check_same_data(described[0], report)
+        _check_same_sigma(described[0], report)
         _check_comparable(report)
-    return ModelComparison(tuple(made))
+    return ModelComparison(tuple(described))
 
 
 def _check_same_data(first: Report, second: Report) -> None:
