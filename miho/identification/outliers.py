@@ -43,8 +43,8 @@ def too_small_scale(problem: CurveFit, at: Linearised) -> list[str]:
 def outliers(problem: CurveFit, at: Linearised) -> list[str]:
     """A sentence if few rows are so far from the curve that they widen all intervals.
 
-    There is none if sigma is known, because intervals do not depend on the errors, and none where
-    a robust loss is not possible: with priors and in joint fits.
+    With a known sigma intervals do not depend on the errors, so no row widens them. Fits with
+    priors and joint fits have no sentence either, because they cannot have a robust loss.
     """
     if at.noise_known or problem.prior is not None or parts_of(problem.model):
         return []

@@ -196,7 +196,7 @@ class _Objective:
         return Refit(theta, self.cost(theta), True, end.evaluations)
 
     def along_limits(self, theta: Array) -> Array:
-        """A better point (d,) along limits of tied parameters; `theta` if there is none."""
+        """A better point (d,) along limits of tied parameters, or `theta` itself."""
         if not self._limited:
             return theta
         from miho.identification.limits import along_limits

@@ -230,7 +230,7 @@ def _theta_names(*parameters: str) -> list[str]:
 def curve_of(text: bytes) -> NDArray[np.float64]:
     """The curve in a JSON text: rows `COLUMNS`, a column for each improvement and one for the end.
 
-    Raises ValueError if there is none.
+    Raises ValueError for a text without a curve.
     """
     try:
         values = orjson.loads(text)
@@ -246,7 +246,7 @@ def curve_of(text: bytes) -> NDArray[np.float64]:
 
 
 def error_of(loss: float | None) -> float:
-    """The error of a loss, its square root; NaN if there is none."""
+    """The error of a loss: its square root, or NaN without a loss."""
     return math.nan if loss is None or loss < 0 else math.sqrt(loss)
 
 
