@@ -32,11 +32,12 @@ EPSILON = sys.float_info.epsilon
 AGREEING = 1e-4
 """Descents whose losses differ by less than this fraction ended in one optimum. Solvers leave far
 smaller differences (their usual tolerance is 1e-10), and different optima differ by more."""
-ENOUGH, SHARE = 5, 0.25
-"""At least this number of descents, and this share of all, must end in a trusted optimum. A better
-optimum that is equally easy to reach would have been missed by all n with a probability of about (1
-- 5 / n)^n, at most 1 % (with five descents that all ended in one of two optima, 2^-5 = 3 %). If the
-best optimum is rare, a better and rarer one is likely."""
+ENOUGH, SHARE, MANY = 5, 0.25, 20
+"""At least ENOUGH descents, and the share SHARE of all or MANY, must end in a trusted optimum. A
+better optimum that is equally easy to reach would have been missed by all n with a probability of
+about (1 - 5 / n)^n, at most 1 % (with five descents that all ended in one of two optima, 2^-5 = 3
+%). If the best optimum is rare, a better and rarer one is likely. After 20 returns to it, one that
+is only a fifth as easy to reach would have been missed with a probability of exp(-20 / 5) = 2 %."""
 BETTER = 0.025
 """Largest acceptable probability that one more descent ends in a better optimum."""
 
@@ -65,7 +66,7 @@ class Agreement:
     @property
     def returned(self) -> bool:
         """Whether enough descents returned to the optimum."""
-        return self.agreeing >= max(ENOUGH, SHARE * self.finished)
+        return self.agreeing >= min(max(ENOUGH, SHARE * self.finished), MANY)
 
     @property
     def enough(self) -> bool:

@@ -48,6 +48,7 @@ class MIHOGNSettings(Brackets):
     doubtful_brackets: int = 20
     doubtful_cost: float = 10.0
     challenges: int = 3
+    max_brackets: int = 400
 
     def __post_init__(self) -> None:
         check_brackets(self)

@@ -66,6 +66,8 @@ ROUNDED = [0.0, 1e-30, 3e-28, 2e-27, 5e-25, 1e-24, 7e-22]
         ([1.0] * 5 + [2.0] * 5, 0.0, Agreement(5, 10, 2, 6 / 90), True),
         ([1.0] * 4 + [2.0] * 6, 0.0, Agreement(4, 10, 2, 6 / 90), False),
         ([1.0] * 5 + [2.0] * 16, 0.0, Agreement(5, 21, 2, 6 / 420), False),
+        ([1.0] * 19 + [2.0] * 81, 0.0, Agreement(19, 100, 2, 6 / 9900), False),
+        ([1.0] * 20 + [2.0] * 80, 0.0, Agreement(20, 100, 2, 6 / 9900), True),
         (list(range(1, 9)), 0.0, Agreement(1, 8, 8, 1.0), False),
         (ROUNDED, 0.0, Agreement(1, 7, 7, 1.0), False),
         (ROUNDED, 1e-20, Agreement(7, 7, 1, 2 / 42), True),
@@ -82,7 +84,7 @@ def test_ends_that_agree_are_evidence(
 
 def test_an_optimum_from_elsewhere_is_compared_with_the_ends() -> None:
     assert agreement([1.0, 1.0, 2.0], best=0.5).agreeing == 0
-    assert agreement([1.0] * 1000, finished=5000).enough is False, "the best 1,000 of 5,000"
+    assert agreement([1.0] * 10, finished=50).enough is False, "the best 10 of 50"
 
 
 def test_what_was_dropped_ended_in_an_optimum_of_its_own() -> None:
