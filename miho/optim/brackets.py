@@ -151,6 +151,30 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
     return np.where(redrawn, starts, best)
 
 
+def alike(space: Space) -> list[list[int]]:
+    """Positions of parameters with equal bounds, for bounds that several parameters have."""
+    groups: dict[tuple[float, float, str], list[int]] = {}
+    for k, p in enumerate(space.parameters):
+        groups.setdefault((p.low, p.high, p.scale), []).append(k)
+    return [group for group in groups.values() if len(group) > 1]
+
+
+def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Array:
+    """Starts (n, d) at the best minimum (d,), with values exchanged among parameters.
+
+    A minimum may have the parameters of one peak at another one. Values are exchanged among
+    parameters with equal bounds, in every second start alike for position, height and width. The
+    first start has them in reverse order, as has each start that would be the minimum.
+    """
+    starts, keys = np.tile(best, (n, 1)), rng.random((n, best.size))
+    for group in alike(space):
+        own = keys[:, group]
+        own[::2] = keys[::2, : len(group)]
+        starts[:, group] = best[group][np.argsort(own, axis=1)]
+        starts[0, group] = best[group[::-1]]
+    return np.where((starts == best).all(axis=1, keepdims=True), starts[0], starts)
+
+
 def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     """Convert uniform shares u (n, d) of the ranges to shares whose sizes are log-uniform.
 

@@ -30,7 +30,7 @@ from miho.compiled.phases import (
     make_room,
     nearness,
 )
-from miho.optim.brackets import around, draw_starts
+from miho.optim.brackets import alike, around, draw_starts, exchanged
 from miho.optim.credibility import check_structure, credible, is_tested, solves
 from miho.optim.evidence import ENOUGH, in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
@@ -116,7 +116,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         found it.
     challenges : int, optional
         Brackets that start near the best optimum, at some of its coordinates, and must fail to find
-        a better one before the search ends.
+        a better one before the search ends. If parameters have equal bounds, one more bracket
+        starts with their values exchanged.
 
     Raises
     ------
@@ -229,17 +230,21 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         budget, n = self.sizes(state.bracket, state.d, look_cost)
         state.settings = state.settings._replace(projects=projects, rung_budget=budget)
         state.spent_before = oracle.evaluations
-        # Its starts, to be evaluated on the first level.
-        n = 1 if state.linear else n
+        # Its starts, to be evaluated on the first level; exchanged values need all rows.
+        n, level = 1 if state.linear else n, 0
         starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
         if state.challenging:
-            best = state.minima.x[state.best_minimum]
-            starts = around(state.box.origin + state.box.width * best, starts, state.rng)
+            best = state.box.origin + state.box.width * state.minima.x[state.best_minimum]
+            if state.passed == 0 and alike(state.space):
+                n, level = self.min_candidates, state.level_rows.size - 1
+                starts = exchanged(best, state.space, n, state.rng)
+            else:
+                starts = around(best, starts, state.rng)
         oracle.starts.screened += n * (not state.linear)
         x = (starts - state.box.origin) / state.box.width
         fading = self.scale_decay if state.bracket % 2 else 1.0
         levels = state.level_rows.size
-        state.admit(GNCandidates.at(x, levels, self.damping, fading, projects), 0)
+        state.admit(GNCandidates.at(x, levels, self.damping, fading, projects), level)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
@@ -320,8 +325,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Close the bracket, and end the search if the ends of brackets are evidence enough.
 
-        Before the search ends, brackets that start at some coordinates of the best minimum
-        challenge it. They count as evidence only if they find a better one.
+        Before the search ends, brackets that start at some coordinates of the best minimum, or with
+        its values exchanged, challenge it. They count as evidence only if they find a better one.
         """
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False
@@ -329,7 +334,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if len(oracle.starts.descents) >= ENOUGH:
             agreement = oracle.starts.agreement(oracle.best)
             agreed = agreement.enough and credible(self, state, oracle, agreement)
-        enough = agreed and state.passed >= self.challenges and is_tested(state, oracle)
+        challenges = self.challenges + bool(alike(state.space))
+        enough = agreed and state.passed >= challenges and is_tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.traits.rounding, oracle.traits.resolution)
         state.challenged = agreed and not enough
         if enough or state.bracket >= self.max_brackets:

@@ -7,12 +7,14 @@ import pickle
 import tracemalloc
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from baselines.problems import PublishedModel, load_published
+from experiments.check.families import drawn
 from miho.compiled.gauss_newton_candidates import SLOPES, GNCandidates
 from miho.compiled.kernel import Formula
 from miho.data import Dataset
@@ -330,6 +332,23 @@ def test_challenges_are_no_evidence() -> None:
     assert challenged.descents.screened > plain.descents.screened
     assert challenged.descents.finished == plain.descents.finished
     assert challenged.loss == pytest.approx(plain.loss, rel=1e-12)
+
+
+def test_two_peaks_of_different_shapes_are_found_in_their_places() -> None:
+    """Without exchanges both searches agree on the optimum that has the peaks exchanged."""
+
+    def peaks(x: Any, m: Any, a: Any, c: Any, w: Any, b: Any, d: Any, v: Any) -> Any:
+        return m + a / (1 + ((x - c) / w) ** 2) + b * np.exp(-(((x - d) / v) ** 2))
+
+    box = [(-5.0, 5.0), *2 * [(0.0, 20.0), (0.0, 100.0), (0.3, 40.0)]]
+    true = [1.0, 2.8, 29.7, 4.7, 2.3, 67.7, 2.0]
+    for instance in (4, 5):
+        rng = np.random.default_rng(instance)
+        problem = drawn(peaks, [np.linspace(0, 100, 150)], true, 0.35, box, rng)
+        record = minimize(MIHOGN(), problem, seed=1)
+        assert record.outcome is Outcome.CONVERGED
+        assert record.theta is not None
+        assert record.theta[[2, 5]] == pytest.approx([29.7, 67.7], abs=1.0)
 
 
 @pytest.mark.parametrize(
