@@ -49,7 +49,6 @@ class FrictionCar(NamedTuple):
     front: float  # the front axle's share of the lateral force, l_r / L
     brake_front: float  # the front axle's share of the brake force
     C_d: float
-    C_r: float
     mu: float
     load: Array
     left: Array
@@ -60,14 +59,13 @@ class FrictionCar(NamedTuple):
 
 
 def friction_car(
-    vehicle: Vehicle, grip: Grip, mu: float = 1.0, brake_front: float = 0.5, rolling: bool = True
+    vehicle: Vehicle, grip: Grip, mu: float = 1.0, brake_front: float = 0.5, drag: bool = True
 ) -> FrictionCar:
-    """Return the car for compiled functions, with drag and rolling resistance if `rolling`."""
+    """Return the car for compiled functions, with its drag or without."""
     return FrictionCar(
         LoadTransfer(vehicle).coefficients, vehicle.mass, vehicle.lr / vehicle.wheelbase,
-        brake_front, vehicle.C_d if rolling else 0.0, vehicle.C_r if rolling else 0.0, mu,
-        grip.load, grip.left, grip.right, grip.drive, grip.lateral_sensitivity,
-        grip.longitudinal_sensitivity,
+        brake_front, vehicle.C_d if drag else 0.0, mu, grip.load, grip.left, grip.right, grip.drive,
+        grip.lateral_sensitivity, grip.longitudinal_sensitivity,
     )  # fmt: skip
 
 
@@ -77,7 +75,7 @@ def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity:
 
     ax is the acceleration along the road [m/s^2]; lateral and gravity are as in `Demand`.
     """
-    force = car.mass * ax + car.C_d * v * v + car.C_r  # at the ground
+    force = car.mass * ax + car.C_d * v * v  # of the tires, rolling resistance included
     Fz = wheel_loads(car.loads, v, force / car.mass, lateral, gravity)
     peaks = car.left if lateral >= 0 else car.right
     # Half axes of an axle's ellipse are the sums of its tires' peaks at their loads. Its share of
@@ -117,12 +115,12 @@ def use_on_line(car: FrictionCar, v: float, ax: float, curvature: float, bank: f
 def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
     """Return the use of the friction ellipse, (n,), for measured accelerations.
 
-    ax and ay [m/s^2] are as in `miho.vehicle.driving.plant.Motion` and include drag. gravity
-    [m/s^2] presses the car on the road.
+    ax and ay [m/s^2] are as in `miho.vehicle.driving.plant.Motion`. gravity [m/s^2] presses the
+    car on the road.
     """
     use = np.empty(v.size)
     for i in range(v.size):
-        use[i] = friction_use(car, v[i], ax[i] - car.C_r / car.mass, ay[i], gravity[i])
+        use[i] = friction_use(car, v[i], ax[i], ay[i], gravity[i])
     return use
 
 

@@ -165,7 +165,7 @@ class VelocityPlanner:
         if self.engine is not None:
             most = full_throttle(self.vehicle, self.engine, speeds)
         if self.brake is not None:
-            drag = self.friction.C_d * speeds**2 + self.friction.C_r
+            drag = self.friction.C_d * speeds**2 + self.vehicle.C_r
             least = -(self.brake_share * self.brake.largest_force + drag) / self.vehicle.mass
         return _Powers(speeds, most, least)
 

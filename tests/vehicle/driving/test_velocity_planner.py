@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import g
 
+from miho.vehicle.driving.friction import demand, measured_use
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.load_transfer import LoadTransfer
 from miho.vehicle.driving.ovals import lvms
@@ -97,7 +98,7 @@ def used(planner: VelocityPlanner, plan: VelocityPlan) -> np.ndarray:
     turning = v**2 * line.curvature
     ay = turning * np.cos(line.bank) - g * np.sin(line.bank)
     gravity = g * np.cos(line.bank) + turning * np.sin(line.bank)
-    force = vehicle.mass * ax + vehicle.C_d * v**2 + vehicle.C_r
+    force = vehicle.mass * ax + vehicle.C_d * v**2
     loads = LoadTransfer(vehicle).wheel_loads(v, force / vehicle.mass, ay, gravity=gravity)
     x = np.stack(loads, axis=1) / grip.load
     sideways = np.where(ay[:, None] >= 0, grip.left, grip.right)
@@ -171,6 +172,14 @@ def test_the_plan_between_points_is_uniformly_accelerated() -> None:
     fine = sum(plan.line.step / 50 / plan.at(k * plan.line.step / 50)[0]
                for k in range(50 * plan.v.size))  # fmt: skip
     assert plan.lap_time == pytest.approx(fine, rel=1e-4)
+
+
+def test_a_car_that_drives_the_plan_is_measured_to_use_its_friction() -> None:
+    """An accelerometer does not feel rolling resistance, which is a force of the tires."""
+    plan = CAR.planner(0.5, 80.0).plan(LVMS)
+    gravity = demand(plan.v, LVMS.curvature, LVMS.bank).gravity
+    use = measured_use(plan.friction, plan.v, plan.ax, plan.lateral, gravity)
+    assert use == pytest.approx(plan.use, rel=1e-12)
 
 
 def test_a_road_too_steep_or_too_tight_is_refused() -> None:
