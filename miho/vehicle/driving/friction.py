@@ -75,8 +75,9 @@ def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity:
 
     ax is the acceleration along the road [m/s^2]; lateral and gravity are as in `Demand`.
     """
-    force = car.mass * ax + car.C_d * v * v  # of the tires, rolling resistance included
-    Fz = wheel_loads(car.loads, v, force / car.mass, lateral, gravity)
+    force = car.mass * ax + car.C_d * v * v  # of all tires
+    # The downforce already includes the moment of the drag, so ax alone moves load.
+    Fz = wheel_loads(car.loads, v, ax, lateral, gravity)
     peaks = car.left if lateral >= 0 else car.right
     # Half axes of an axle's ellipse are the sums of its tires' peaks at their loads. Its share of
     # the lateral force follows from the yaw moment, and of the longitudinal force from rear-wheel
