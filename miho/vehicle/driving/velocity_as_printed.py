@@ -9,12 +9,13 @@ import numpy as np
 
 from miho.quantities import Array, g
 from miho.validate import positive_settings
+from miho.vehicle.driving.friction import friction_car
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.load_transfer import LoadTransfer
 from miho.vehicle.driving.plant import Motion
 from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.driving.velocity_planner import VelocityPlan, VelocityPlanner
+from miho.vehicle.driving.velocity_planner import VelocityPlan
 
 STRAIGHT = 1e-9
 """Smallest curvature [1/m] in Eq. 12."""
@@ -60,7 +61,7 @@ class PrintedPlanner:
         yaw = np.abs(lateral) if self.yaw_term else 0.0
         limit = self._ay_max(line) - yaw
         ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
-        friction = VelocityPlanner(self.vehicle, self.grip, mu=self.mu).friction
+        friction = friction_car(self.vehicle, self.grip, self.mu)
         return VelocityPlan(line, v, ax, lateral, limit, np.abs(lateral) / limit, friction)
 
     def speeds(self, line: Track) -> Array:

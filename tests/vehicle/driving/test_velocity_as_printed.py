@@ -112,6 +112,7 @@ def test_the_printed_plan_holds_its_limit_and_brakes_for_nothing() -> None:
     assert not limited.all()
     assert plan.use[limited] == pytest.approx(1.0)
     assert (plan.use[~limited] <= 1.0).all()
+    assert plan.friction.C_d == CAR.vehicle.C_d, "a drive is evaluated with its drag"
     following = np.roll(plan.v, -1) ** 2
     assert plan.v**2 + 2 * plan.ax * plan.line.step == pytest.approx(following)
     assert plan.ax.min() < -12.0
