@@ -45,7 +45,7 @@ NOISE = MappingProxyType({"slip": 0.00075})
 """Standard deviation of the noise of a row's slip angle [rad], of `Sensors` at 60 m/s."""
 TRACKER = TrackerSettings(use=0.02)
 """A row of the front arc, with half of the grip in use, also teaches. On seeds 100 to 111 the alarm
-comes after 1.3 s, and after 3.2 s with 0.1 (medians)."""
+comes after 1.8 s, and after 3.5 s with 0.1 (medians)."""
 
 
 class Constant(FrictionSource):

@@ -20,8 +20,8 @@ from tests.vehicle.driving.cars import car
 pytest.importorskip("vehiclemodels")
 
 SHARE = 0.7
-"""Of the tires' grip that is planned with. The tracker holds 0.26 m, and 0.33 m with 0.75; with
-0.85 the model spins on the brakes at the entry of a turn."""
+"""Of the tires' grip that is planned with. The tracker holds 0.21 m, and 0.27 m with 0.75; with
+0.8 the model spins in a turn."""
 
 
 def driven(weights: Weights, distance: float) -> tuple[Drive, Driver]:
