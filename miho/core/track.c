@@ -17,7 +17,7 @@
 
 enum { ROW, CLOCK, LAST_TIME, SINCE, QUIET_UNTIL, TURN, ODDS, ALARM, GAIN, NUMBERS };
 enum { HAZARD, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
-       GAP, EVERY, CAP, STEP_ERROR, BURST, SETTLE, RULES };
+       GAP, EVERY, CAP, STEP_ERROR, BURST, SETTLE, WRONG, RULES };
 
 typedef struct {
     const double *number, *unit, *low, *high, *watched, *sigma, *noise;
@@ -349,17 +349,18 @@ static double step_by_output(const track_sizes *of, population *at, const rules_
 }
 
 /* A step by the measured state c at the end of the row; returns the share of the inlier. If the
-   value is an outlier, the state may have jumped too. */
+   value is an outlier, either it or the prediction is wrong, so the state is half way between. */
 static double step_by_state(const track_sizes *of, population *at, const rules_of *rules, desk *to,
                             int64_t c, int64_t s) {
     int64_t D = of->d + of->n, k = of->d + c;
     double r = rules->sigma[c] * rules->sigma[c], e = to->y[c] - at->theta[s * D + k];
-    double jump = 0.25 * e * e, most = rules->number[WIDTH] * r;
+    double half = 0.5 * e, most = 2.0 * sqrt(rules->number[WIDTH] * r);
+    half = half > most ? most : half < -most ? -most : half;
     memset(to->step, 0, (size_t)D * sizeof(double));
     to->step[k] = to->unit[k];
     double kept = step_by(of, at, rules, to, s, e, r);
-    jump = jump < most ? jump : most;
-    at->P[(s * D + k) * D + k] += (1.0 - kept) * jump / (to->unit[k] * to->unit[k]);
+    at->theta[s * D + k] += (1.0 - kept) * half;
+    at->P[(s * D + k) * D + k] += (1.0 - kept) * half * half / (to->unit[k] * to->unit[k]);
     return kept;
 }
 
@@ -397,14 +398,6 @@ static void advance(const track_sizes *of, population *at, const rules_of *rules
         double error = rules->number[STEP_ERROR];
         P[(d + c) * D + d + c] += error * error + more / (to->unit[d + c] * to->unit[d + c]);
     }
-}
-
-/* The most that a row says on a change: minus the logarithm of the probability that all of its
-   outputs are outliers. */
-static double evidence_of(const track_sizes *of, const rules_of *rules, const desk *at) {
-    double usable = 0.0;
-    for (int64_t o = 0; o < of->m; o++) usable += isnan(at->y[o]) ? 0.0 : 1.0;
-    return -log_one(rules->number[OUTLIERS]) - (usable - 1.0) * log_one(TOGETHER);
 }
 
 /* Weigh and improve a hypothesis by all outputs. */
@@ -451,13 +444,13 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
     if (is_best) at->number[GAIN] = information;
 }
 
-/* Weigh and improve all hypotheses. A row with a wrong input may fit a change alone, so that
-   no hypothesis gains more on the best one than the row can say. */
+/* Weigh and improve all hypotheses. Rows with wrong inputs may fit a change alone, so that no
+   hypothesis gains more on the best one than a row can say. */
 static void learn_all(const track_sizes *of, population *at, const rules_of *rules, desk *to,
                       int64_t best) {
     double old = at->weight[best];
     learn(of, at, rules, to, best, 1);
-    double most = at->weight[best] - old + evidence_of(of, rules, to);
+    double most = at->weight[best] - old - log_one(rules->number[WRONG]);
     for (int64_t s = 0; s < of->K; s++) {
         if (s == best || at->weight[s] <= EMPTY) continue;
         double limit = at->weight[s] + most;

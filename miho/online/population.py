@@ -251,10 +251,8 @@ class Population:
             self.share[s] += taught
             if s == best:
                 self["gain"], outliers = gain, shares[:n] < OVER
-        # A row with a wrong input may fit a change alone: a row says at most that it is no outlier.
-        usable = np.count_nonzero(~np.isnan(y))
-        most = self.weight[best] - weights[best]
-        most -= math.log(rules.outliers) + (usable - 1) * math.log(TOGETHER)
+        # Rows with wrong inputs may fit a change alone, so a row says only so much.
+        most = self.weight[best] - weights[best] - math.log(rules.wrong)
         self.weight[living] = np.minimum(self.weight[living], weights[living] + most)
         return np.asarray((free & watched).any(axis=1)), outliers
 
@@ -292,9 +290,11 @@ class Population:
             together = max(float(shares.min()), 1 / LARGEST_NOISE)
             kept, each = self._step(s, e, j, r, able, together)
             shares[o], total, taught = kept, total + kept * worth, taught + each
-            if o < n:  # with an outlier, the state may have jumped instead
-                jump = min(0.25 * e * e, self.rules.width * r)
-                P[d + o, d + o] += (1 - kept) * jump / self.unit[d + o] ** 2
+            if o < n:  # with an outlier, value or prediction is wrong: half way between
+                most = 2 * math.sqrt(self.rules.width * r)
+                half = min(max(0.5 * e, -most), most)
+                theta[d + o] += (1 - kept) * half
+                P[d + o, d + o] += (1 - kept) * half**2 / self.unit[d + o] ** 2
         return np.clip(taught, 0.0, 1.0), total, shares
 
     def _step(

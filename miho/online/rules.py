@@ -100,7 +100,7 @@ class Rules:
         As for `TrackerSettings`.
     long, middle, short : float
         Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
-    use, smooth, hold, repeats, gap, every, cap, step_error, burst, settle : float
+    use, smooth, hold, repeats, gap, every, cap, step_error, burst, settle, wrong : float
         As for `TrackerSettings`.
     unit : ndarray, shape (d,)
         Size of a jump of a watched parameter; standard deviation of another one before the first
@@ -133,6 +133,7 @@ class Rules:
     step_error: float
     burst: float
     settle: float
+    wrong: float
     unit: Array
     low: Array
     high: Array
@@ -165,7 +166,7 @@ def rules_of(
         positive(f"changes.{name}", share)
         watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
     names = ("hazard", "outliers", "width", "threshold", "near", "use", "smooth", "hold", "gap",
-             "every", "repeats", "cap", "step_error", "burst", "settle")  # fmt: skip
+             "every", "repeats", "cap", "step_error", "burst", "settle", "wrong")  # fmt: skip
     return Rules(
         **{name: float(getattr(settings, name)) for name in names},
         **dict(zip(("long", "middle", "short"), settings.drifts, strict=True)),

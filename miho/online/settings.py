@@ -28,8 +28,7 @@ class TrackerSettings(OnlineMethod):
     hazard : float, optional
         Probability of a fresh hypothesis of a jump.
     outliers : float, optional
-        Share of rows that are outliers. The odds of a change rise by at most one over this share
-        in a row with one output, so a smaller share gives a quicker alarm.
+        Share of rows that are outliers.
     width : float, optional
         Variance of outliers, in variances of the noise.
     threshold : float, optional
@@ -63,6 +62,10 @@ class TrackerSettings(OnlineMethod):
         Further drift of the watched parameters in a fresh hypothesis, because a jump takes a while.
     settle : float, optional
         Time in which this further drift decays [s].
+    wrong : float, optional
+        Probability that the inputs of a row are wrong after ones that are. The odds of a change
+        rise by at most one over it in a row. A smaller one gives a quicker alarm, but then fewer
+        wrong rows in succession look like a change.
 
     Raises
     ------
@@ -88,9 +91,10 @@ class TrackerSettings(OnlineMethod):
     step_error: float = 0.05
     burst: float = 2.0
     settle: float = 0.1
+    wrong: float = 0.04
 
     def __post_init__(self) -> None:
-        for name in ("hazard", "outliers"):
+        for name in ("hazard", "outliers", "wrong"):
             between_0_and_1(name, getattr(self, name))
         for name in ("width", "near", "use", "smooth", "gap", "cap", "settle"):
             positive(name, getattr(self, name))

@@ -234,6 +234,25 @@ def test_a_quiet_record_calibrates_without_a_step_into_it() -> None:
     np.testing.assert_array_equal(tracker.update(rows).theta, other.update(rows).theta)
 
 
+@pytest.mark.parametrize("by_machine", [True, False])
+def test_after_an_outlier_a_state_is_half_way(by_machine: bool) -> None:
+    """Either the measured value or the predicted one is wrong: the two are one deviation away."""
+    tracker: Any = Tracker(decay_problem(), {"a": (1.5, 0.01)}, {})
+    if not by_machine:
+        tracker._population._machine = None
+    rng = np.random.default_rng(0)
+    x = 2 * np.exp(-1.5 * 0.05 * np.arange(42))
+    seen = x + 0.1 * rng.standard_normal(42)
+    seen[40] += 4.0
+    for i in range(41):
+        tracker.update({"t": 0.05 * i, "force": 0.0, "x": seen[i]})
+    [away], [deviation] = tracker._population.theta[0, 1:] - x[40], tracker._population.P[0, 1, 1:]
+    assert away == pytest.approx(2.0, abs=0.2)
+    assert np.sqrt(deviation) * 0.1 == pytest.approx(away, rel=0.1)
+    tracker.update({"t": 0.05 * 41, "force": 0.0, "x": seen[41]})
+    assert tracker._population.theta[0, 1] == pytest.approx(seen[41], abs=0.06)
+
+
 @pytest.mark.parametrize("value", [20.0, 1e3, 1e12])
 @pytest.mark.parametrize("lost", [False, True], ids=["in a motion", "after a missing value"])
 @pytest.mark.parametrize("by_machine", [True, False])

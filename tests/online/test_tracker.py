@@ -230,6 +230,22 @@ def test_one_wrong_input_is_no_change(wrong: float, by_machine: bool) -> None:
     assert abs(states[210].values["a"] - 2.0) < 0.03
 
 
+@pytest.mark.parametrize("by_machine", [True, False])
+@pytest.mark.parametrize("first", [200, 201, 202])
+def test_three_wrong_inputs_in_succession_are_no_change(first: int, by_machine: bool) -> None:
+    """A change of `a` explains each of them. A fresh hypothesis is born in every third row."""
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.5, 1.5, 240)
+    rows = {"x": x, "y": 2 * x + SIGMA * rng.standard_normal(240)}
+    run: Any = Tracker(problem_of(lambda x, *, a: a * x, **rows), {"a": (2.0, 0.1)})
+    if not by_machine:
+        run._population._machine = None
+    rows["x"][first : first + 3] *= 3
+    states = followed(run, rows)
+    assert not any(state.alarm for state in states)
+    assert all(abs(state.values["a"] - 2.0) < 0.1 for state in states[first + 5 :])
+
+
 def test_several_rows_are_rows_one_by_one() -> None:
     columns, together = tire(), tracker()
     each = followed(tracker(), columns, slice(0, 700))
