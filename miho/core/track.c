@@ -202,14 +202,18 @@ static void set_state(const track_sizes *of, population *at, int64_t s, int64_t 
     P[k * D + k] = variance;
 }
 
-/* States that are not the measured ones at the end of the last row begin at the row's values. */
+/* States that the last row did not measure begin at the row's values; all, if one of its values
+   differs. */
 static void begin_states(const track_sizes *of, population *at, const rules_of *rules,
                          const double *row, desk *to) {
+    int other = 0;
+    for (int64_t c = 0; c < of->n; c++)
+        other |= row[c] != at->measured[c] && isfinite(at->measured[c]);
     for (int64_t c = 0; c < of->n; c++) {
-        if (row[c] != at->measured[c]) to->began |= 1ull << c;
+        if (!other && row[c] == at->measured[c]) continue;
+        to->began |= 1ull << c;
         double share = to->noise[c] / rules->noise[c];
-        for (int64_t s = 0; row[c] != at->measured[c] && s < of->K; s++)
-            set_state(of, at, s, c, to->row[c], share * share);
+        for (int64_t s = 0; s < of->K; s++) set_state(of, at, s, c, to->row[c], share * share);
     }
 }
 

@@ -199,8 +199,9 @@ class Population:
         return grown
 
     def _begin_states(self, x: Array, row: Array, noise: Array) -> NDArray[np.bool_]:
-        """Begin states at the row's values, if the last row measured others; returns these (n,)."""
+        """Begin states (n,) that the last row did not measure; all, if one value differs."""
         began = np.asarray(x[: self.layout.n] != self.measured)
+        began |= bool(np.isfinite(self.measured[began]).any())
         for c in np.flatnonzero(began).tolist():
             for s in range(self.layout.K):
                 self._set_state(s, c, row[c], (noise[c] / self.rules.noise[c]) ** 2)
@@ -345,8 +346,7 @@ class Population:
         odds = np.exp(weight)
         new, old = odds[changed].sum() + SMALLEST, odds[~changed].sum() + SMALLEST
         self["odds"] = math.log(new / old)
-        quiet = self["clock"] < self["quiet_until"]
-        if quiet:
+        if self["clock"] < self["quiet_until"]:
             self["since"] = self["row"]
         elif self["odds"] > rules.threshold:
             self["alarm"] = 1.0

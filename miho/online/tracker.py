@@ -108,6 +108,7 @@ class Tracker(Running):
         self._steps: StepRows | None = None
         if self._motion is not None:
             self._steps, problem = StepRows.of_problem(self._motion), one_step(self._motion)
+        self._longest = math.inf if self._steps is None else self._steps.longest
         self.system = system_of(problem, noise)
         if self._steps is not None and input_noise is None:
             input_noise = self._steps.noise(self.system.sigma)
@@ -164,6 +165,8 @@ class Tracker(Running):
         if self._steps is not None:
             rows = self._steps.take(rows)
         for row in self._rows(rows):
+            if not 0 <= row[-1] - population["last_time"] <= self._longest:
+                population.measured[:] = math.nan  # another motion begins
             estimate = population.update(row)
             if population["alarm"]:
                 change = population.changed()

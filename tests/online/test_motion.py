@@ -156,6 +156,29 @@ def test_an_alarm_is_not_repeated_by_a_row_without_a_step() -> None:
     assert tracker.change is not None
 
 
+def nearly_equal(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> None:
+    """Rows and others differ in the last digits, so that states differ as little."""
+    first, second = car_tracker(), car_tracker()
+    for row, other in zip(rows, others, strict=True):
+        first.update(row)
+        second.update(other)
+    a, b = first._population, second._population
+    np.testing.assert_allclose(a.theta, b.theta, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(a.P, b.P, rtol=1e-9, atol=1e-12)
+
+
+def test_a_motion_begins_again_after_a_gap_although_values_are_equal() -> None:
+    """A quantised sensor often shows one value before a gap and after it."""
+    columns = drive(2.0)
+    rows = [{name: float(column[k]) for name, column in columns.items()} for k in range(100)]
+    later = [{**row, "t": row["t"] + 10.0} for row in rows[50:]]
+    later[0] |= {name: rows[49][name] for name in NOISE}
+    one_differs = [{**later[0], "vy": later[0]["vy"] * (1 + 1e-12)}, *later[1:]]
+    both_differ = [{**one_differs[0], "yaw_rate": later[0]["yaw_rate"] * (1 + 1e-12)}, *later[1:]]
+    nearly_equal(rows[:50] + later, rows[:50] + both_differ)
+    nearly_equal(rows[:50] + one_differs, rows[:50] + both_differ)
+
+
 def pushed(force: Any, *, a: Any) -> Any:
     return a * force
 
