@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit, least_squares
 
 import miho
 from miho.compiled.kernel import Formula
 from miho.core import machine
+from miho.models import Trajectory
 from miho.vehicle.data import embedded_tire
 from miho.vehicle.models import Pacejka, TireFormula
 from miho.vehicle.models.tir_reader import read_tir
@@ -215,7 +217,19 @@ def test_a_fit_is_pickled_printed_and_drawn() -> None:
     assert "<table" in fit._repr_html_()
     (ax,) = fit.plot().axes
     assert ax.get_xlabel() == "t"
+    own = Figure()
+    left, right = own.subplots(1, 2)
+    assert fit.plot(right) is own
+    assert right.get_ylabel() == "y"
+    assert not left.has_data()
     assert fit.report().parameters["value"].tolist() == pytest.approx(list(fit.values.values()))
+
+
+def test_a_pandas_column_gives_the_output_its_name() -> None:
+    fit = miho.fit(decay, t, pd.Series(y, name="voltage"), BOX, compiled=False)
+    assert fit.plot().axes[0].get_ylabel() == "voltage"
+    with pytest.raises(ValueError, match="voltage: a number is missing"):
+        miho.fit(decay, t, pd.Series(np.where(t > 1, np.nan, y), name="voltage"), BOX)
 
 
 class Line:
@@ -265,6 +279,10 @@ def test_a_pickled_fit_says_that_its_model_raises(
     assert said.count("\n") == 1
 
 
+def _fall(h: Any, v: Any, *, g: Any) -> Any:
+    return v, -g + 0 * h
+
+
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no bounds": ({"space": None}, "a has no bounds; give them, for example {'a': \\(0, 10\\)}"),
     "a bound short": ({"space": {"a": (0, 5)}}, "b has no bounds"),
@@ -296,6 +314,31 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "bounds of a: min is not a setting; choose from unit, low, high, scale",
     ),
     "words": ({"y": [*y[:-1], "n/a"]}, "y is 'n/a' in row 60; expected real numbers"),
+    "dates": (
+        {"x": pd.Series(pd.to_datetime(t, unit="s"), name="t")},
+        "expected real numbers, for example the seconds \\(t - t.min\\(\\)\\) / pandas.Timedelta",
+    ),
+    "durations": (
+        {"x": pd.to_timedelta(t, unit="s")},
+        "for example the seconds t / pandas.Timedel",
+    ),
+    "dates as words": (
+        {"x": [f"2024-05-03 10:00:{s:09.6f}" for s in t]},
+        "t is '2024-05-03 10:00:00.000000' .*; convert times by pandas.to_datetime\\(t\\)",
+    ),
+    "a column twice": (
+        {"x": pd.DataFrame(np.stack([t, y, y], axis=1), columns=["t", "V", "V"]), "y": "V"},
+        "x has 2 columns V; rename or drop all but one",
+    ),
+    "a class": ({"model": Pacejka}, "model is the class Pacejka; expected an object, for example"),
+    "a model's column": (
+        {"model": Pacejka(), "x": {"slip": t}},
+        "x has no column alpha; expected alpha for Pacejka$",
+    ),
+    "several outputs": (
+        {"model": Trajectory(_fall, {"h": 0.0, "v": 0.0}, ["h", "v"]), "x": {"t": t}},
+        "has no column output; .* for _fall; fit each output as a part of miho.fit_joint",
+    ),
     "data first": ({"model": t}, "model is of type ndarray; expected a function; the order"),
     "a word for a function": ({"model": "decay"}, "model is 'decay'; expected a function, or"),
     "a misspelt column": (

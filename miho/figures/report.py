@@ -86,29 +86,40 @@ def fit_figure(
     """
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
-        ax = figure.subplots()
-        opacity, size = _opacity(len(measured.values)), _size(len(measured.values))
-        style: dict[str, Any] = {"s": size, "alpha": opacity, "linewidths": 0, "rasterized": True}
-        if x is not None and band is not None:
-            ax.scatter(x.values, measured.values, label="data", color=BLUE, **style)
-            at, curve, half = band
-            ax.fill_between(at, curve - half, curve + half, color=RED, alpha=0.3, linewidth=0)
-            ax.plot(at, curve, color=RED, linewidth=1.5, label="fit, with the curve's interval")
-            ax.set(xlabel=x.label, ylabel=measured.label)
-        else:
-            shown = parts or {"rows of data": np.ones(len(predicted), dtype=bool)}
-            for (label, part), color in zip(shown.items(), cycle(POINTS), strict=False):
-                points = predicted[part], measured.values[part]
-                ax.scatter(*points, label=label, color=color, **style)
-            ends = [min(predicted.min(), measured.values.min()),
-                    max(predicted.max(), measured.values.max())]  # fmt: skip
-            color = BLACK if parts else RED
-            ax.plot(ends, ends, color=color, linewidth=1, label="prediction = measurement")
-            ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
-        for handle in ax.legend(loc="best", markerscale=4 / size**0.5).legend_handles:
-            if handle is not None:
-                handle.set_alpha(1)
+        plot_fit(measured, predicted, x, band, parts, figure.subplots())
     return figure
+
+
+def plot_fit(
+    measured: Column,
+    predicted: Array,
+    x: Column | None,
+    band: tuple[Array, Array, Array] | None,
+    parts: Mapping[str, NDArray[np.bool_]] | None,
+    ax: Axes,
+) -> Axes:
+    """Draw what `fit_figure` shows into given axes."""
+    opacity, size = _opacity(len(measured.values)), _size(len(measured.values))
+    style: dict[str, Any] = {"s": size, "alpha": opacity, "linewidths": 0, "rasterized": True}
+    if x is not None and band is not None:
+        ax.scatter(x.values, measured.values, label="data", color=BLUE, **style)
+        at, curve, half = band
+        ax.fill_between(at, curve - half, curve + half, color=RED, alpha=0.3, linewidth=0)
+        ax.plot(at, curve, color=RED, linewidth=1.5, label="fit, with the curve's interval")
+        ax.set(xlabel=x.label, ylabel=measured.label)
+    else:
+        shown = parts or {"rows of data": np.ones(len(predicted), dtype=bool)}
+        for (label, part), color in zip(shown.items(), cycle(POINTS), strict=False):
+            ax.scatter(predicted[part], measured.values[part], label=label, color=color, **style)
+        both = np.append(predicted, measured.values)
+        ends = [both.min(), both.max()]
+        color = BLACK if parts else RED
+        ax.plot(ends, ends, color=color, linewidth=1, label="prediction = measurement")
+        ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
+    for handle in ax.legend(loc="best", markerscale=4 / size**0.5).legend_handles:
+        if handle is not None:
+            handle.set_alpha(1)
+    return ax
 
 
 def waterfall_figure(

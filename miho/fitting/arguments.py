@@ -33,11 +33,6 @@ SETTINGS = tuple(field.name for field in dataclasses.fields(Parameter))[1:-1]
 """The settings of a parameter that a mapping of bounds may have."""
 MISSING = ("raise", "drop")
 """The treatment of rows with a missing number."""
-COMPLEX = (
-    "miho.fit_joint({{'real': (lambda ...: model(...).real, x, {0}.real), "
-    "'imag': (lambda ...: model(...).imag, x, {0}.imag)}}, bounds)"
-)
-"""The call that fits complex numbers."""
 
 
 def check_named(**arguments: object) -> None:
@@ -67,8 +62,13 @@ def data_of(
     """
     if missing not in MISSING:
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
-    output = y if isinstance(y, str) else "y"
+    output = y if isinstance(y, str) else _label(y)
     values = _column_of(x, "y", y)
+    if isinstance(model, type) and issubclass(model, Model):
+        raise ValueError(
+            f"model is the class {model.__name__}; expected an object, for example "
+            f"{model.__name__}()"
+        )
     if not isinstance(model, Model):
         if not callable(model):
             _check_no_template(model)
@@ -123,6 +123,12 @@ def signed_model(model: Model) -> Signed | None:
 def by_name(x: Any) -> bool:
     """Whether columns are given by name, in a mapping or a data frame."""
     return isinstance(x, Mapping) or hasattr(x, "columns")
+
+
+def _label(y: Any) -> str:
+    """The name of a pandas column; "y" for other columns."""
+    name = getattr(y, "name", None)
+    return name if name and isinstance(name, str) and hasattr(y, "iloc") else "y"
 
 
 def _column_of(x: Any, label: str, value: Any) -> Any:
@@ -206,10 +212,9 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
     if by_name(x):
         lacking = [name for name in names if name not in x]
         if lacking:
-            raise ValueError(
-                f"x has no column {', '.join(lacking)}; expected {', '.join(names)} for "
-                f"{model.name}"
-            )
+            from miho.fitting.refused_columns import no_column
+
+            raise no_column(model, lacking)
         return {name: _numbers(name, x[name]) for name in names}
     columns = x if isinstance(x, tuple) else (x,)
     if len(columns) != len(names):
@@ -223,18 +228,8 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
 def _numbers(name: str, values: Any) -> NDArray[np.float64]:
     """A column as real numbers, NaN for missing ones; refuses conversions that lose information."""
     array = np.asarray(values)
-    if array.dtype.kind == "c":
-        raise ValueError(
-            f"{name} is {array.dtype}; expected real numbers; fit real and imaginary parts, for "
-            f"example by {COMPLEX.format(name)}"
-        )
-    if array.dtype.kind in "mM":
-        raise ValueError(f"{name} is {array.dtype}; expected real numbers, for example seconds")
-    if array.ndim > 1:
-        raise ValueError(
-            f"{name} has the shape {array.shape}; expected a column (N,); give several columns as "
-            "a tuple or by name"
-        )
+    if array.dtype.kind in "cmM" or array.ndim > 1:
+        raise _refused(name, values)
     if np.ma.is_masked(values):
         return np.where(np.ma.getmaskarray(values), np.nan, array.astype(float))
     if array.dtype == object:  # None or pandas.NA may represent a missing number
@@ -244,18 +239,13 @@ def _numbers(name: str, values: Any) -> NDArray[np.float64]:
     try:
         return array.astype(float)
     except (TypeError, ValueError):
-        value, row = _first_word(array)
-        raise ValueError(f"{name} is {value!r}{row}; expected real numbers") from None
+        raise _refused(name, array) from None
 
 
-def _first_word(array: NDArray[Any]) -> tuple[object, str]:
-    """The first entry of a column that is no number, and its place."""
-    for row, value in enumerate(np.atleast_1d(array).tolist()):
-        try:
-            float(value)
-        except (TypeError, ValueError):
-            return value, f" in row {row + 1}" * bool(array.ndim)
-    return array.dtype.name, ""
+def _refused(name: str, values: Any) -> ValueError:
+    from miho.fitting.refused_columns import no_numbers
+
+    return no_numbers(name, values)
 
 
 def number_of(label: str, value: Any) -> float:

@@ -24,6 +24,7 @@ from miho.quantities import Array
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from miho.identification.conclusion import Conclusion
@@ -356,14 +357,24 @@ class Fit(Remade):
         """Curve at input columns (N,), and the half width of its interval."""
         return self.uncertainty.band(self.problem.model, self.level, *columns)
 
-    def plot(self) -> Figure:
+    def plot(self, ax: Axes | None = None) -> Figure:
         """Plot the data and the curve with its interval.
 
         With several inputs the figure shows measured over predicted values.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Axes to draw into; by default a new figure has them.
+
+        Returns
+        -------
+        Figure
+            The figure of the axes.
         """
         from miho.fitting.printed_fit import figure_of
 
-        return figure_of(self)
+        return figure_of(self, ax)
 
     def __str__(self) -> str:
         """The parameters, the error, the evidence for the optimum, and the caveats."""

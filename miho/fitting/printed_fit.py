@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from miho.fitting.fit_result import Fit
@@ -76,9 +77,9 @@ def caveats(fit: Fit) -> list[str]:
     return sentences + unseen(at, space, everywhere=False)
 
 
-def figure_of(fit: Fit) -> Figure:
+def figure_of(fit: Fit, ax: Axes | None = None) -> Figure:
     """The data and the curve with its interval, or measured over predicted values."""
-    from miho.figures.report import Column, curve_band, fit_figure
+    from miho.figures.report import Column, curve_band, fit_figure, plot_fit
     from miho.models.joint import rows_of_parts
 
     problem, dataset = fit.problem, fit.problem.dataset
@@ -92,4 +93,7 @@ def figure_of(fit: Fit) -> Figure:
         (name,) = inputs
         x = Column(name, dataset.units[name], dataset[name])
         band = curve_band(x.values, problem.model.ordered, fit._band)
-    return fit_figure(measured, predicted, x, band, parts)
+    if ax is None:
+        return fit_figure(measured, predicted, x, band, parts)
+    plot_fit(measured, predicted, x, band, parts, ax)
+    return cast("Figure", ax.get_figure(root=True))

@@ -1,0 +1,67 @@
+"""Errors on columns that cannot be the data of a fit: what is wrong, and the remedy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.layout import OUTPUT
+from miho.models.model import Model
+
+COMPLEX = (
+    "miho.fit_joint({{'real': (lambda ...: model(...).real, x, {0}.real), "
+    "'imag': (lambda ...: model(...).imag, x, {0}.imag)}}, bounds)"
+)
+"""The call that fits complex numbers."""
+TIME = re.compile(r"\d:\d\d|\d{4}-\d\d-\d\d")
+"""A part of a text that is a time or a date."""
+
+
+def no_column(model: Model, lacking: Sequence[str]) -> ValueError:
+    """The error on input columns that a model needs and the data do not have."""
+    several = "; fit each output as a part of miho.fit_joint" * (OUTPUT in lacking)
+    return ValueError(
+        f"x has no column {', '.join(lacking)}; expected {', '.join(model.inputs)} for "
+        f"{model.name or type(model).__name__}{several}"
+    )
+
+
+def no_numbers(name: str, values: Any) -> ValueError:
+    """The error on a column that is not one of real numbers."""
+    array = np.asarray(values)
+    if array.dtype.kind == "c":
+        return ValueError(
+            f"{name} is {array.dtype}; expected real numbers; fit real and imaginary parts, for "
+            f"example by {COMPLEX.format(name)}"
+        )
+    if array.dtype.kind in "mM":
+        passed = f"({name} - {name}.min())" if array.dtype.kind == "M" else name
+        return ValueError(
+            f"{name} is {array.dtype}; expected real numbers, for example the seconds "
+            f"{passed} / pandas.Timedelta(seconds=1)"
+        )
+    if name in getattr(values, "columns", ()):
+        return ValueError(f"x has {array.shape[1]} columns {name}; rename or drop all but one")
+    if array.ndim > 1:
+        return ValueError(
+            f"{name} has the shape {array.shape}; expected a column (N,); give several columns as "
+            "a tuple or by name"
+        )
+    value, row = _first_word(array)
+    times = isinstance(value, str) and TIME.search(value)
+    hint = f"; convert times by pandas.to_datetime({name})" if times else ""
+    return ValueError(f"{name} is {value!r}{row}; expected real numbers{hint}")
+
+
+def _first_word(array: NDArray[Any]) -> tuple[object, str]:
+    """The first entry of a column that is no number, and its place."""
+    for row, value in enumerate(np.atleast_1d(array).tolist()):
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            return value, f" in row {row + 1}" * bool(array.ndim)
+    return array.dtype.name, ""
