@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import FAR, data_of
+from miho.fitting.arguments import NEAR, data_of
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
@@ -156,10 +156,10 @@ class JointFit(Fit):
         units = {**part.model.inputs, output: part.model.output}
         optima = tuple(_of_parameters(self.problem, at, part.parameters) for at in self._optima)
         values = optima[0].theta
-        # A wide space that contains these values.
+        # A space around these values: far from them, a simulation may have no value at any row.
         parameters = zip(part.model.parameters.items(), values, strict=True)
         space = Space(
-            tuple(Parameter(n, u, v - FAR * (1 + abs(v)), v + FAR * (1 + abs(v)))
+            tuple(Parameter(n, u, v - NEAR * (abs(v) or 1.0), v + NEAR * (abs(v) or 1.0))
                   for (n, u), v in parameters)
         )  # fmt: skip
         fit = PartFit(

@@ -72,6 +72,10 @@ def caveats(fit: Fit) -> list[str]:
     except ValueError as error:
         return [*sentences, f"there are no standard errors: {error}."]
     sentences += several_values(fit.problem, fit._optima)
+    if fit.problem.model.ordered:  # it may be a simulation
+        from miho.identification.report_text import on_computation
+
+        sentences += on_computation(fit.problem, fit.uncertainty)
     space = reported_space(fit.problem.space)
     sentences += (ended_at_bounds if conclusion.doubt else held_at_bounds)(at, space)
     return sentences + unseen(at, space, everywhere=False)

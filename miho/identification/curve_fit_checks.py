@@ -204,9 +204,12 @@ def _is_finite(problem: CurveFit, model_name: str, thetas: Array) -> bool:
             f"{name} = {column[never[0]]:g}"
             for name, column in zip(model.inputs, problem.inputs, strict=True)
         )
+        where = f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name})"
         raise ValueError(
-            f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}), "
-            "whatever its parameters; remove the row or correct the model"
+            f"{where} anywhere in a trial of the space; narrow the bounds, take shorter steps or "
+            "correct the model"
+            if model.ordered
+            else f"{where}, whatever its parameters; remove the row or correct the model"
         )
     return True
 

@@ -20,7 +20,9 @@ from miho.identification.stated import at_limits, reported_values
 from miho.identification.validation import root_mean_square
 
 if TYPE_CHECKING:
+    from miho.identification.curve_fit import CurveFit
     from miho.identification.report import Report
+    from miho.identification.uncertainty import Linearised
 
 HEDGE = (
     "these remarks on data and model hold for this optimum, and may not hold if every search "
@@ -99,7 +101,7 @@ def notes_of(report: Report) -> list[str]:
         several.append(BIASED)
     sentences = several + sentences
     if conclusion.doubt:
-        doubt = flags.doubtful(conclusion.doubt, report.remedy)
+        doubt = flags.doubtful(conclusion.doubt, report.remedy) + on_computation(problem, at)
         sentences = doubt + flags.ended_at_bounds(report.reported, report.space) + sentences
     else:
         remarks = _on_data_and_model(report)
@@ -107,6 +109,12 @@ def notes_of(report: Report) -> list[str]:
             remarks.append(HEDGE)
         sentences += remarks
     return [*sentences, *report.omitted]
+
+
+def on_computation(problem: CurveFit, at: Linearised) -> list[str]:
+    """Remarks on numerical errors of the model at an optimum."""
+    noise = at.noise if problem.weights is None else at.noise / problem.weights
+    return problem.model.remarks(at.theta, noise, *problem.inputs)
 
 
 def _on_data_and_model(report: Report) -> list[str]:
@@ -131,7 +139,7 @@ def _on_data_and_model(report: Report) -> list[str]:
     if not (followed or report.uneven or at.dependence is not None):
         sentences += outliers(problem, report.at)
     # Model: are its errors larger than the noise, or do they follow a column?
-    sentences += problem.model.remarks(report.at.theta, report.at.noise, *problem.inputs)
+    sentences += on_computation(problem, at)
     irreducible = report.irreducible
     if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < report.error:
         sentences.append(

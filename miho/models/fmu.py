@@ -275,7 +275,7 @@ class FmuModel(Remade, ExternalModel):
             return None
         return result if result["time"][-1] >= end - interval / 2 else None
 
-    def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
+    def remarks(self, theta: Array, noise: float | Array, *inputs: Array) -> list[str]:
         """Return a sentence if a halved step would change parameters noticeably."""
         return time_step_remarks(self, ORDER, theta, noise, *inputs)
 

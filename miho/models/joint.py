@@ -138,6 +138,15 @@ class JointModel(Model):
             derivatives[rows[:, None], chosen] = slopes
         return derivatives
 
+    def remarks(self, theta: Array, noise: float | Array, *inputs: Array) -> list[str]:
+        """Return the remarks of each part, after its name."""
+        noises = np.broadcast_to(noise, inputs[0].shape)
+        return [
+            f"{part.name}: {remark}"
+            for part, rows, chosen, columns in self.shares(inputs)
+            for remark in part.model.remarks(theta[chosen], noises[rows], *columns)
+        ]
+
     def shares(
         self, inputs: tuple[Array, ...]
     ) -> list[tuple[JointPart, NDArray[np.intp], list[int], list[Array]]]:

@@ -162,15 +162,15 @@ class Model(ABC):
         declared = self.derived.items()
         return tuple(Derived(name, unit, values) for name, (unit, values) in declared)
 
-    def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
+    def remarks(self, theta: Array, noise: float | Array, *inputs: Array) -> list[str]:
         """Return sentences for the report about numerical errors of the model at an optimum.
 
         Parameters
         ----------
         theta : ndarray, shape (d,)
             Optimum.
-        noise : float
-            Standard deviation of the residuals at the optimum.
+        noise : float or ndarray, shape (N,)
+            Standard deviation of the residuals at the optimum, of all rows or of each.
         *inputs : ndarray, shape (N,)
             Input columns.
 

@@ -254,7 +254,7 @@ class Tied(Remade, Wrapper):
         """Name or class of the model."""
         return self.model.name or type(self.model).__name__.lower()
 
-    def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
+    def remarks(self, theta: Array, noise: float | Array, *inputs: Array) -> list[str]:
         """Return the remarks of the model of all parameters."""
         return self.model.remarks(self.ties.whole(theta[None])[0], noise, *inputs)
 

@@ -18,22 +18,23 @@ NOTICEABLE = 0.25
 
 
 def time_step_remarks(
-    model: Trajectory | FmuModel, order: int, theta: Array, noise: float, *inputs: Array
+    model: Trajectory | FmuModel, order: int, theta: Array, noise: float | Array, *inputs: Array
 ) -> list[str]:
     """Return a sentence if a halved step would move the optimum by much of its standard errors.
 
-    The change of the solution is projected on the column space of the Jacobian and divided by the
-    standard deviation of the residuals, `noise`. The result bounds the movement of the optimum
+    The change of the solution is divided by the standard deviation of the residuals, `noise`, and
+    projected on the column space of the Jacobian. The result bounds the movement of the optimum
     `theta` (d,) in any direction, in standard errors. `order` is the order of the solver.
     """
-    if noise == 0:
+    if not np.all(noise):
         return []
+    noise = np.broadcast_to(noise, inputs[0].shape)
     finer = replace(model, substeps=2 * model.substeps)
     change = finer.predict(theta[None], *inputs)[0] - model.predict(theta[None], *inputs)[0]
-    J = model.jacobian(theta, *inputs)
+    J = model.jacobian(theta, *inputs) / noise[:, None]
     moves = J[:, np.abs(J).max(axis=0) > 0]
     scaled = moves / np.linalg.norm(moves, axis=0)
-    errors = float(np.linalg.norm(np.linalg.qr(scaled)[0].T @ change)) / noise
+    errors = float(np.linalg.norm(np.linalg.qr(scaled)[0].T @ (change / noise)))
     if errors <= NOTICEABLE:
         return []
     needed = 2 * model.substeps

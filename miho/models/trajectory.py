@@ -317,7 +317,7 @@ class Trajectory(Model):
             return along(course, motion, runge_kutta(course, motion))
         return along(course, motion, stiff(course, motion, self.solver, self.tolerance))
 
-    def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
+    def remarks(self, theta: Array, noise: float | Array, *inputs: Array) -> list[str]:
         """Return a sentence if a halved step would change parameters noticeably."""
         if self.solver != RUNGE_KUTTA:
             return []

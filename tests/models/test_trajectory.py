@@ -365,6 +365,40 @@ def test_the_report_tells_of_a_step_that_is_too_long() -> None:
         assert any("half the time step" in note for note in notes) == told
 
 
+def test_fits_and_parts_tell_of_a_step_that_is_too_long() -> None:
+    """Nine steps a period, with a sigma of each row; a second part has shorter steps."""
+    t = np.linspace(0, 4, 41)
+    sigma = np.full(t.size, 1e-3)
+    x = oscillation(t, np.array([100.0, 1.5, 0.3]))
+    x += sigma * np.random.default_rng(0).standard_normal(t.size)
+    ranges = {"k": (90, 110), "c": (1, 2), "x_0": (0.2, 0.4)}
+    coarse = replace(OSCILLATOR, substeps=1, units={"t": "-"})
+    told = "half the time step moves the optimum by up to"
+    fit = miho.fit(coarse, t, x, ranges, sigma=sigma)
+    assert [caveat for caveat in fit.caveats if told in caveat] == coarse.remarks(
+        fit.theta, 1e-3, t
+    )
+    few = miho.fit(coarse, t, x, ranges, budget=miho.Budget(evaluations=3))
+    assert any("in doubt" in note for note in few.report().notes)
+    assert any(told in note for note in few.report().notes)
+    parts = {"coarse": (coarse, t, x, sigma), "fine": (replace(coarse, substeps=10), t, x, sigma)}
+    joint = miho.fit_joint(parts, ranges)
+    (caveat,) = (caveat for caveat in joint.caveats if told in caveat)
+    assert caveat.startswith("coarse: half the time step")
+    assert caveat in joint.report(profiles=False).notes
+
+
+def test_a_part_of_a_joint_fit_may_diverge_far_from_the_optimum() -> None:
+    """An explicit step of 0.1 s diverges for |k| > 28/s."""
+    decay = Trajectory(lambda x, *, k: -k * x, {"x": 1.0}, ["x"])
+    t = np.linspace(0, 20, 201)
+    x = np.exp(-2 * t) + 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    fit = miho.fit_joint({"a": (decay, t, x), "b": (decay, t[:100], x[:100])}, {"k": (0.1, 10)})
+    np.testing.assert_allclose(fit.part("b").predict(t[:3]).value, np.exp(-2 * t[:3]), atol=0.01)
+    with pytest.raises(ValueError, match="anywhere in a trial of the space; narrow the bounds"):
+        miho.fit(decay, t, x, {"k": (300, 400)})
+
+
 FILE = """
 def lag(x: "m", u: "V", *, k: "1/s", gain: "m/V" = 2.0):
     return k * (gain * u - x)
