@@ -16,6 +16,8 @@ from miho.data.measurements import Layout
 from miho.data.text_lines import CSVError, lines_of
 from miho.quantities import Array
 
+TIME = re.compile(r"\d:\d\d|\d{4}-\d\d-\d\d")
+"""A part of a text that is a time or a date."""
 BLOCK = 10_000
 """Lines that are read at a time; a block with a fault is read again cell by cell."""
 
@@ -322,6 +324,8 @@ class TextTable:
             if value is None:
                 problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
                 remedy = "correct the cell, remove the row, or ignore it with drop_rows"
+                if TIME.search(text):
+                    remedy = "write times as seconds since the first row"
                 other_decimal = "comma" if self.decimal == "." else "point"
                 if self.delimiter != "," and _number(text, DECIMALS[other_decimal]) is not None:
                     remedy = f"write decimals with '{self.decimal}', or set decimal={other_decimal}"

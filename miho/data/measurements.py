@@ -77,7 +77,9 @@ def check_names(setting: str, names: Iterable[str], columns: Sequence[str]) -> N
     """Raise ValueError if a setting names something that is not a column."""
     for name in names:
         if name not in columns:
-            raise ValueError(f"{setting} names {name!r}; columns are {', '.join(columns)}")
+            raise ValueError(
+                f"{setting} names {name!r}; columns are {', '.join(columns)}; choose one of them"
+            )
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,8 @@ class Layout:
     every: int = 1
 
     def __post_init__(self) -> None:
-        check_columns(self.columns, self.units, self.names, self.flip)
+        headers = self.columns if self.headers is None else self.headers
+        check_columns(self.columns, self.units, headers, self.flip)
         if self.convention not in FLIPPED:
             raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
         whole("every", self.every, 1)
@@ -154,7 +157,9 @@ class Layout:
     @property
     def names(self) -> Sequence[str]:
         """Names of the columns in the file."""
-        return self.columns if self.headers is None else self.headers
+        if self.headers is None:
+            return self.columns
+        return [header.strip() for header in self.headers]  # as in the header line
 
     @property
     def all_names(self) -> list[str]:

@@ -26,6 +26,7 @@ _TABLE: dict[str, dict[str, float]] = {
     "-": {"-": 1.0, "1": 1.0, "%": 0.01},
     "rad": {"rad": 1.0, "deg": _DEGREE, "mrad": _MILLI},
     "rad/s": {"rad/s": 1.0, "deg/s": _DEGREE, "rpm": 2 * pi / 60.0},
+    "rad/s^2": {"rad/s^2": 1.0, "rad/s2": 1.0, "deg/s^2": _DEGREE},
     "1/rad": {"1/rad": 1.0, "1/deg": 1 / _DEGREE},
     "N": {"N": 1.0, "kN": _KILO, "daN": 10.0, "lbf": _POUND_FORCE, "kgf": g},
     "N/rad": {
@@ -69,7 +70,8 @@ _OTHER_SPELLINGS = MappingProxyType(
         "degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad",
         "newton": "N", "newtons": "N", "lbs": "lbf", "n m": "Nm", "n*m": "Nm", "n-m": "Nm",
         "ft-lb": "lbf-ft", "ft-lbf": "lbf-ft", "kph": "km/h", "kmh": "km/h", "g": "g0",
-        "1/min": "rpm", "percent": "%", "sec": "s", "m/s²": "m/s^2", "m/s/s": "m/s^2", "inch": "in",
+        "1/min": "rpm", "percent": "%", "sec": "s", "m/s²": "m/s^2", "rad/s²": "rad/s^2",
+        "m/s/s": "m/s^2", "inch": "in",
         "meter": "m", "metre": "m", "": "-", "none": "-", "none/unitless": "-",
     }
 )  # fmt: skip

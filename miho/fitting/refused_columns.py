@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.data.csv import TIME
 from miho.models.layout import OUTPUT
 from miho.models.model import Model
 
@@ -17,8 +17,6 @@ COMPLEX = (
     "'imag': (lambda ...: model(...).imag, x, {0}.imag)}}, bounds)"
 )
 """The call that fits complex numbers."""
-TIME = re.compile(r"\d:\d\d|\d{4}-\d\d-\d\d")
-"""A part of a text that is a time or a date."""
 
 
 def no_column(model: Model, lacking: Sequence[str]) -> ValueError:

@@ -48,6 +48,8 @@ BAD = {
     "a long line": ("a,b\n" + "1" * 10_001, "2:10000", "longer than"),
     "blanks": ("a b\n1 2\n", "1:1", "separate columns with commas"),
     "two delimiters": ("a;b\n1,2\n", "2:1", "1 cells; every row must have 2; add or remove"),
+    "a time": ("a,b\n10:00:01,2\n", "2:1", "write times as seconds since the first row"),
+    "a date": ("a,b\n1,2024-05-03T10\n", "2:3", "write times as seconds since the first row"),
     "decimal commas": ("a;b\n1,5;2\n", "2:1", "write decimals with '.', or set decimal=comma"),
 }
 
@@ -174,7 +176,7 @@ def test_units_names_and_conditions(tmp_path: Path) -> None:
     file = {"t": np.arange(400.0), "IA": np.degrees(gamma), "FZ": Fz / 4.4482216152605}
     file |= {"SA": np.degrees(alpha), "FY": Fy / 1e3}
     units = ["deg", "kN", "lbf", "deg"]
-    read = load(tmp_path, file, units=units, headers=["SA", "FY", "FZ", "IA"])
+    read = load(tmp_path, file, units=units, headers=["SA", " FY ", "FZ", "IA"])
     assert (read.name, read.output, read.held_out) == ("mine", "Fy", None)
     assert dict(read.units) == dict(zip(COLUMNS, UNITS, strict=True))
     for name in COLUMNS:
@@ -414,7 +416,7 @@ def test_rows_are_held_out(tmp_path: Path) -> None:
         ({"columns": ["alpha", "Fy", "Fz", "Fy"]}, "name each once"),
         ({"columns": "alpha"}, "columns is 'alpha'; give a list of names"),
         ({"units": ["rad", "N", "N", 1]}, "give a list of names"),
-        ({"output": "Mz"}, "output names 'Mz'; columns are alpha, Fy, Fz, gamma"),
+        ({"output": "Mz"}, "output names 'Mz'; columns are alpha, Fy, Fz, gamma; choose one"),
         ({"units": ["rad", "kn", "N", "rad"]}, "did you mean 'kN'"),
         ({"convention": "ISO"}, "convention is 'ISO'; choose from iso-w, sae, adapted-sae"),
         ({"flip": ["Mz"]}, "flip names 'Mz'"),
