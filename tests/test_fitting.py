@@ -24,7 +24,7 @@ from miho.compiled.kernel import Formula
 from miho.core import machine
 from miho.models import Trajectory
 from miho.vehicle.data import embedded_tire
-from miho.vehicle.models import Pacejka, TireFormula
+from miho.vehicle.models import Pacejka, PacejkaCurvature, TireFormula
 from miho.vehicle.models.tir_reader import read_tir
 from tests.optim.decays import Decay
 from tests.printed import flat
@@ -230,6 +230,22 @@ def test_a_pandas_column_gives_the_output_its_name() -> None:
     assert fit.plot().axes[0].get_ylabel() == "voltage"
     with pytest.raises(ValueError, match="voltage: a number is missing"):
         miho.fit(decay, t, pd.Series(np.where(t > 1, np.nan, y), name="voltage"), BOX)
+
+
+@pytest.mark.parametrize("model", [Pacejka(), PacejkaCurvature()])
+def test_degrees_and_wrong_signs_of_a_slip_angle_are_refused(model: Pacejka) -> None:
+    alpha = np.linspace(-0.15, 0.15, 50)
+    force = -4000 * np.sin(1.5 * np.arctan(12 * alpha))
+    box = {"B": (2, 40), "C": (1, 2.5), "D": (1e3, 9e3), "Sx": (-0.05, 0.05), "Sy": (-500, 500)}
+    box |= {"E": (-1, 0.9)} if "E" in model.parameters else {}
+    with pytest.raises(ValueError, match=r"largest \|alpha\| is 8.594 rad.*is the column in deg"):
+        miho.fit(model, np.rad2deg(alpha), force, box)
+    with pytest.raises(ValueError, match="Fy rises with alpha, but it falls in ISO-W; set the"):
+        miho.fit(model, alpha, -force, box)
+    fit = miho.fit(model, alpha, -force, box, convention="adapted-sae")
+    assert fit.values["D"] == pytest.approx(4000, rel=1e-3)
+    unit = {**box, "D": (0.1, 3), "Sy": (-1, 1)}
+    assert miho.fit(model, alpha, force / 4000, unit).values["D"] == pytest.approx(1, rel=1e-3)
 
 
 class Line:

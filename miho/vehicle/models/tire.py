@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -16,8 +16,40 @@ from miho.quantities import Array
 from miho.vehicle.models.features import tire_features
 
 
+class _OverSlipAngle(Expression):
+    """A lateral force [N] over the slip angle alpha [rad], in ISO-W signs."""
+
+    inputs = MappingProxyType({"alpha": "rad"})
+    output = "N"
+    linear = ("D", "Sy")
+
+    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
+        """Return cornering stiffness, peaks and friction."""
+        return tire_features(self, columns)
+
+    def converted(
+        self,
+        inputs: Mapping[str, Array],
+        output: Array,
+        convention: str,
+        ranges: Mapping[str, Sequence[float] | None] | None,
+    ) -> tuple[dict[str, Array], Array]:
+        """Return slip angle and force (N,) in ISO-W signs.
+
+        Raises ValueError for slip angles in degrees and for a force that rises with the slip angle.
+        The size of the force is checked only by `ranges`, since it may be divided by the load.
+        """
+        from miho.vehicle.models.iso_w import in_iso_w
+
+        ranges = {"Fy": None, **(ranges or {})}
+        return in_iso_w(inputs, ["rad", "N"], "Fy", output, convention, ranges)
+
+    def check_signs(self, inputs: Mapping[str, Array]) -> None:
+        """Accept all slip angles, because their sign is not known without the force."""
+
+
 @dataclass(frozen=True)
-class Pacejka(Expression):
+class Pacejka(_OverSlipAngle):
     """Lateral force F_y [N] over the slip angle alpha [rad], ISO-W: F_y falls as alpha grows.
 
         F_y = D sin(C arctan(B (Sx - alpha))) + Sy
@@ -34,10 +66,7 @@ class Pacejka(Expression):
     [[50.0, -2513.0]]
     """
 
-    inputs = MappingProxyType({"alpha": "rad"})
     parameters = MappingProxyType({"B": "1/rad", "C": "-", "D": "N", "Sx": "rad", "Sy": "N"})
-    output = "N"
-    linear = ("D", "Sy")
 
     @property
     def value(self) -> Formula:
@@ -49,13 +78,9 @@ class Pacejka(Expression):
         """Derivatives of the lateral force with respect to (B, C, D, Sx, Sy)."""
         return _force_derivatives
 
-    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
-        """Return cornering stiffness, peaks and friction."""
-        return tire_features(self, columns)
-
 
 @dataclass(frozen=True)
-class PacejkaCurvature(Expression):
+class PacejkaCurvature(_OverSlipAngle):
     """`Pacejka` with the Magic Formula's curvature factor E [-], which bends the curve at its peak.
 
         F_y = D sin(C arctan(z - E (z - arctan(z)))) + Sy,   z = B (Sx - alpha)
@@ -64,12 +89,9 @@ class PacejkaCurvature(Expression):
     values the force changes its sign again at large slip.
     """
 
-    inputs = MappingProxyType({"alpha": "rad"})
     parameters = MappingProxyType(
         {"B": "1/rad", "C": "-", "D": "N", "E": "-", "Sx": "rad", "Sy": "N"}
     )
-    output = "N"
-    linear = ("D", "Sy")
 
     @property
     def value(self) -> Formula:
@@ -80,10 +102,6 @@ class PacejkaCurvature(Expression):
     def derivatives(self) -> Formula:
         """Derivatives of the lateral force with respect to (B, C, D, E, Sx, Sy)."""
         return _bent_force_derivatives
-
-    def derived_quantities(self, columns: Mapping[str, Array]) -> tuple[Derived, ...]:
-        """Return cornering stiffness, peaks and friction."""
-        return tire_features(self, columns)
 
 
 def _force(inputs: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:

@@ -12,14 +12,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from miho.data.conventions import to_iso_w
-from miho.data.measurements import Layout
 from miho.models.derived import Derived
 from miho.models.symbolic import Symbol, constant, trace
 from miho.models.traced import TracedExpression
 from miho.optim import Space
 from miho.quantities import Array
 from miho.vehicle.models.features import tire_features
+from miho.vehicle.models.iso_w import in_iso_w
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.magic_formula_parameters import parameter_names
@@ -151,22 +150,8 @@ class TireFormula(TracedExpression):
         All columns are in SI units. `miho.data.measurements.Layout` documents `convention` and
         `ranges`. Raises ValueError if the size or the sign of a column is impossible for a tire.
         """
-        numbers = {**inputs, self.force: output}
         units = [*self.inputs.values(), self.output.replace("*", "")]
-        layout = Layout([*numbers], units, self.force, convention=convention, ranges=ranges)
-        # The dataset refuses rows that are not finite, and columns of different lengths.
-        if len({column.shape for column in numbers.values()}) == 1 and np.ndim(output):
-            finite = np.flatnonzero(np.isfinite([*numbers.values()]).all(axis=0))
-
-            def fault(column: str, row: int | None, problem: str) -> ValueError:
-                return ValueError(
-                    f"{column}{'' if row is None else f', row {finite[row] + 1}'}: {problem}"
-                )
-
-            if finite.size:
-                layout.si_columns({name: column[finite] for name, column in numbers.items()}, fault)
-        columns = to_iso_w(numbers, convention)
-        return {name: columns[name] for name in inputs}, columns[self.force]
+        return in_iso_w(inputs, units, self.force, output, convention, ranges)
 
     def check_signs(self, inputs: Mapping[str, Array]) -> None:
         """Raise ValueError if most loads Fz are negative."""
