@@ -295,9 +295,13 @@ def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
         "from a wrong shape of the model, a better model narrows them."
     )
     if at.freedom < FEWEST_FREE:
+        unknown = at.quantile() / at.independent.quantile()
+        degrees = f"{at.freedom} degree{'s' * (at.freedom > 1)} of freedom"
         sentence += (
-            " The correlation reaches over so much of the data that even these may be too narrow: "
-            "a longer measurement helps, more rows in the same time do not."
+            " The correlation reaches over so much of the data that its length is hardly known "
+            f"({degrees}), which alone makes intervals up to {unknown:.1f} times as wide; even "
+            "these may be too narrow. A longer measurement helps, or a term of the model for the "
+            "drift; more rows in the same time do not."
         )
     return sentence
 

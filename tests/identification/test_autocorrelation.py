@@ -363,6 +363,16 @@ def test_very_smooth_errors_do_not_widen_intervals_without_limit(seed: int) -> N
     assert 0.4 < fit.parameters.loc["B", "standard_error"] < 0.65
 
 
+def test_a_drift_of_unknown_length_is_told_with_its_effect_on_intervals() -> None:
+    """With one degree of freedom the quantile is tan(0.475 pi) = 12.706, in place of 1.968."""
+    t = np.linspace(0, 3, 300)
+    drift = np.cumsum(0.02 * np.random.default_rng(3).standard_normal(300))
+    fit = miho.fit(lambda t, a, b: a + b * t, t, 1 + t + drift, {"a": (-9, 9), "b": (-9, 9)})
+    assert fit.uncertainty.freedom == 1
+    note = next(note for note in fit.report(profiles=False).notes if "neighbouring rows" in note)
+    assert "(1 degree of freedom), which alone makes intervals up to 6.5 times as wide" in note
+
+
 def test_rounding_of_smooth_errors_hardly_moves_standard_errors() -> None:
     """The likelihood is rounded by 1e-4, which made standard errors differ by up to 1 %."""
     problem, theta = (fit := fit_of_drive(0)).problem, fit.theta
