@@ -26,7 +26,7 @@ from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
 from miho.identification.inverse_root import inverse_root
 from miho.identification.line_wrapping import wrapped
-from miho.identification.report import Report, rounding_of
+from miho.identification.report import Report, Reporting, report_of, rounding_of
 from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
 from miho.identification.uncertainty import Linearised, with_rows
 from miho.models.layout import PART
@@ -189,7 +189,7 @@ class Design:
 
 
 def optimal_design(
-    report: Report,
+    report: Report | Reporting,
     candidates: Candidates,
     size: int,
     *,
@@ -204,8 +204,8 @@ def optimal_design(
 
     Parameters
     ----------
-    report : Report
-        The report on the present data.
+    report : Report or Fit
+        The report on the present data, or a fit, whose report is made.
     candidates : DataFrame, Dataset or mapping of str to array_like
         Possible rows with all inputs of the model, in its units. A mapping gives the levels of each
         input, and every combination is a candidate.
@@ -236,6 +236,7 @@ def optimal_design(
     Fedorov, Theory of Optimal Experiments, 1972.
     Cook and Nachtsheim, Technometrics 22, 1980, p. 315.
     """
+    report = report_of(report)
     problem, at = report.problem, report.at
     frame = candidate_rows(problem.model, candidates)
     group = group_numbers(problem.model, frame, groups)

@@ -12,7 +12,6 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -23,7 +22,7 @@ from miho.identification.flags import independence
 from miho.identification.line_wrapping import wrapped
 from miho.identification.loss import Square
 from miho.identification.refit import refit
-from miho.identification.report import Report, rounding_of
+from miho.identification.report import Report, Reporting, report_of, rounding_of
 from miho.quantities import Array
 
 REPRODUCED = 1e-6
@@ -149,14 +148,6 @@ class ModelComparison:
         return "\n\n".join([*parts, "\n".join(wrapped(f"- {note}") for note in self.notes)])
 
 
-class Reporting(Protocol):
-    """A fit, for example of `miho.fit`, which makes its report."""
-
-    def report(self) -> Report:
-        """The report of the fit."""
-        ...
-
-
 def compare_models(*reports: Report | Reporting) -> ModelComparison:
     """Compare models that were fitted to the same rows with the square loss.
 
@@ -183,7 +174,7 @@ def compare_models(*reports: Report | Reporting) -> ModelComparison:
     """
     if len(reports) < 2:
         raise ValueError(f"compare_models: expected at least two reports, got {len(reports)}")
-    described = [fit if isinstance(fit, Report) else fit.report() for fit in reports]
+    described = [report_of(fit) for fit in reports]
     names = [report.problem.name for report in described]
     for name in names:
         if names.count(name) > 1:

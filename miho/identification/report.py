@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -361,3 +361,16 @@ class Report:
 def rounding_of(problem: CurveFit) -> float:
     """The largest error, in the unit of the output, that counts as rounding."""
     return ROUNDING * root_mean_square(problem.dataset[problem.dataset.output])
+
+
+@runtime_checkable
+class Reporting(Protocol):
+    """A fit, for example of `miho.fit`, which makes its report."""
+
+    def report(self) -> Report:
+        """The report of the fit."""
+
+
+def report_of(result: Report | Reporting) -> Report:
+    """A report itself, or the report of a fit."""
+    return result if isinstance(result, Report) else result.report()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.identification.report import Report
+from miho.identification.report import Report, Reporting
 from miho.models.identified import Identified
 from miho.online.calibration import Calibration, calibration, fitted_to
 from miho.online.informative import InformativeRows
@@ -43,12 +43,12 @@ class Tracker(Running):
 
     Parameters
     ----------
-    problem : CurveFit or sequence of CurveFit or Report
-        The model of each output, its bounds, and the standard deviation of its errors; or the
-        report of its fit, which is then the prior too. The rows of its data give the largest
+    problem : CurveFit or sequence of CurveFit or Report or Fit
+        The model of each output, its bounds, and the standard deviation of its errors; or its fit,
+        or the report of its fit, which is then the prior too. The rows of its data give the largest
         information of a row on each parameter. The problem of a `Trajectory` becomes one problem
         for each state (`miho.online.one_step`); `update` then takes measured states and inputs.
-    prior : Report or mapping of str to (value, standard deviation), optional
+    prior : Report or Fit or mapping of str to (value, standard deviation), optional
         Knowledge from before; by default the middle of the bounds and a share of their width.
     changes : mapping of str to float, optional
         Parameters that may jump, and the share of their value by which they may; by default each
@@ -87,13 +87,15 @@ class Tracker(Running):
 
     def __init__(
         self,
-        problem: Problems | Report,
-        prior: Prior = None,
+        problem: Problems | Report | Reporting,
+        prior: Prior | Reporting = None,
         changes: Mapping[str, float] | None = None,
         input_noise: Mapping[str, float] | None = None,
         period: float = 0.02,
         **settings: Any,
     ) -> None:
+        problem = problem.report() if isinstance(problem, Reporting) else problem
+        prior = prior.report() if isinstance(prior, Reporting) else prior
         if isinstance(problem, Report):
             prior = problem if prior is None else prior
             problem = problem.problem

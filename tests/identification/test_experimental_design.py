@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import scipy.stats
 
+import miho
 from miho.data import Dataset
 from miho.identification import CurveFit, Design, Report, make_report, optimal_design
 from miho.identification.exchange import Information, best_groups
@@ -263,3 +264,11 @@ def test_candidates_in_other_units_and_data_without_noise() -> None:
     exact = quick(line(1 + 2 * x, x), [1.0, 2.0])
     with pytest.raises(ValueError, match="reproduced to rounding"):
         optimal_design(exact, {"x": [2.0]}, 1)
+
+
+def test_a_fit_is_designed_for_as_its_report_is() -> None:
+    x = np.linspace(-1, 1, 30)
+    y = 2 * x + 0.05 * np.random.default_rng(0).standard_normal(30)
+    fit = miho.fit(lambda x, a: a * x, x, y, {"a": (0, 5)})
+    of_fit, of_report = (optimal_design(of, {"x": x}, 3) for of in (fit, fit.report()))
+    assert str(of_fit) == str(of_report)

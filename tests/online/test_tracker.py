@@ -538,3 +538,13 @@ def test_a_model_with_memory_is_refused() -> None:
     x = np.linspace(0.5, 1, 20)
     with pytest.raises(ValueError, match="needs all rows in order; expected a model of each row"):
         Tracker(problem_of(cumulated, x=x, y=np.cumsum(x)))
+
+
+def test_a_fit_is_the_problem_and_the_prior_as_its_report_is() -> None:
+    x = np.linspace(0.5, 1.5, 30)
+    y = 2 * x + 0.05 * np.random.default_rng(0).standard_normal(30)
+    fit = miho.fit(lambda x, a: a * x, x, y, {"a": (0, 5)})
+    row = {"x": 1.0, "y": 2.1}
+    expected = Tracker(fit.report()).update(row)
+    for tracker in (Tracker(fit), Tracker(fit.report(), prior=fit)):
+        assert tracker.update(row).values == expected.values
