@@ -55,6 +55,20 @@ def test_groups_of_a_frame_may_differ_in_length_and_columns() -> None:
         assert table.loc[f"r{k}", NAMES].tolist() == pytest.approx(theta, rel=1e-4)
 
 
+def test_groups_by_several_columns_have_an_index_of_several_levels() -> None:
+    frames = [
+        pd.DataFrame({"car": "AB"[k // 2], "lap": k % 2, "t": t, "V": y[k]}) for k in range(4)
+    ]
+    table = miho.fit_many(decay, pd.concat(frames), "V", BOX, by=["car", "lap"])
+    assert table.index.names == ["car", "lap"]
+    assert table.loc[("B", 1), "a"] == pytest.approx(
+        miho.fit_many(decay, t, y[3:4], BOX)["a"][0], rel=1e-6
+    )
+    for by in ([], ["car", "run"], 3):
+        with pytest.raises(ValueError, match="expected the names of columns of a data frame x"):
+            miho.fit_many(decay, frames[0], "V", BOX, by=by)
+
+
 def test_a_simulation_gets_the_rows_of_each_dataset_alone() -> None:
     """Whose times rise to the last row; the lengths differ, and so do those of equal times."""
 

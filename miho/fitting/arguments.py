@@ -159,7 +159,7 @@ def _complete(
         raise ValueError(
             f"{affected}: a number is missing (NaN) in {count}, first in row "
             f"{np.flatnonzero(dropped)[0] + 1}; drop these rows, for example by missing='drop' of "
-            "miho.fit"
+            "miho.fit, or by dropna of a data frame"
         )
     sys.stderr.write(f"miho: {name}: {count} are dropped: a number is missing in {affected}\n")
     return {key: column[~dropped] for key, column in columns.items()}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,22 +14,28 @@ from miho.fitting.arguments import by_name, inputs_of
 from miho.models.model import Model
 from miho.quantities import Array
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 OTHERWISE = "or a data frame as x, with the name of a column as y and as by"
 """What datasets of different lengths are given as."""
 
 
 class Groups:
-    """Datasets that are groups of a data frame with one value in a column, in order of appearance.
+    """Datasets that are groups of a data frame with one value in each column of `by`.
 
-    Raises ValueError for missing columns, and for a frame without rows.
+    They are in order of appearance. Raises ValueError for missing columns, and for a frame without
+    rows.
     """
 
-    def __init__(self, frame: Any, y: Any, by: str) -> None:
-        named = isinstance(by, str) and isinstance(y, str) and hasattr(frame, "groupby")
-        if not named or by not in frame or y not in frame:
+    def __init__(self, frame: Any, y: Any, by: str | Sequence[str]) -> None:
+        names = [y, by] if isinstance(by, str) or not isinstance(by, Sequence) else [y, *by]
+        named = len(names) > 1 and hasattr(frame, "groupby")
+        if not named or not all(isinstance(name, str) and name in frame for name in names):
             raise ValueError(
-                f"by is {by!r} and y is {y!r}; expected the names of two columns of a data frame x"
+                f"by is {by!r} and y is {y!r}; expected the names of columns of a data frame x"
             )
+        by = by if isinstance(by, str) else [*by]
         codes = frame.groupby(by, sort=False, dropna=False).ngroup().to_numpy()
         if not codes.size:
             raise ValueError("x: the data frame has no rows; expected at least one")
@@ -37,7 +43,7 @@ class Groups:
         self.order = np.argsort(codes, kind="stable")
         self.ends = np.concatenate([[0], np.cumsum(np.bincount(codes))])
         self.frame, self.y = frame, y
-        self.keys: list[Hashable] = frame[by].iloc[self.order[self.ends[:-1]]].tolist()
+        self.index: pd.Index[Any] = frame.iloc[self.order[self.ends[:-1]]].set_index(by).index
 
     def part(self, k: int) -> tuple[Any, Any]:
         """Input columns and output of a dataset, as arguments of `miho.fit`."""
@@ -69,7 +75,7 @@ class Rows:
             raise ValueError(
                 f"y has the shape {self.y.shape}; expected (datasets, rows), {OTHERWISE}"
             )
-        self.keys: NDArray[np.int64] = np.arange(len(self.y))
+        self.index = None
         self.by_name = by_name(x)
         names = [*x] if self.by_name else range(len(x) if isinstance(x, tuple) else 1)
         columns = [x[name] for name in x] if self.by_name else x if isinstance(x, tuple) else (x,)

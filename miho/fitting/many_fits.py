@@ -45,7 +45,7 @@ def fit_many(
     y: Any,
     space: Space | Mapping[str, Any],
     *,
-    by: str | None = None,
+    by: str | Sequence[str] | None = None,
     start: Mapping[str, Any] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
@@ -71,8 +71,8 @@ def fit_many(
         With `by` the name of the output column; else the output of each dataset.
     space : Space or mapping of str
         Bounds of each parameter by name, as in `miho.fit`; priors are not supported.
-    by : str, optional
-        Column of `x` with one value for each dataset.
+    by : str or sequence of str, optional
+        Column of `x` with one value for each dataset, or several such columns.
     start : mapping of str to float or array_like of shape (M,), optional
         A value for each free parameter, for all datasets or for each.
     fixed, tied, constraints, seed : optional
@@ -105,8 +105,6 @@ def fit_many(
     1  2.0  1.5       True
     2  3.0  1.5       True
     """
-    import pandas as pd
-
     check_named(start=start, fixed=fixed, tied=tied)
     parts = Rows(x, y) if by is None else Groups(x, y, by)
     names = {*(fixed or ()), *(tied or ()), *(start or ())}
@@ -152,7 +150,7 @@ def fit_many(
         ends, covariance, counts = _by_numpy(batch, thetas, search, seed, progress)
     if not np.isfinite(ends.squares).any():
         raise ValueError(f"{title(problem)}: no finite value was found")
-    table = _table(problem, datasets.rows, ends, covariance, pd.Index(parts.keys, name=by))
+    table = _table(problem, datasets.rows, ends, covariance, parts.index)
     table.attrs.update(counts)
     if counts["better"]:
         warnings.warn(
@@ -240,7 +238,7 @@ def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Arra
 
 
 def _table(
-    problem: CurveFit, rows: NDArray[np.int64], ends: Ends, covariance: Array, index: pd.Index
+    problem: CurveFit, rows: NDArray[np.int64], ends: Ends, covariance: Array, index: Any
 ) -> pd.DataFrame:
     """A row per dataset; standard errors are NaN at a bound and without a degree of freedom.
 
