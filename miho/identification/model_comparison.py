@@ -8,8 +8,10 @@ Ch. 3.10).
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -148,13 +150,18 @@ class ModelComparison:
         return "\n\n".join([*parts, "\n".join(wrapped(f"- {note}") for note in self.notes)])
 
 
-def compare_models(*reports: Report | Reporting) -> ModelComparison:
+Compared = Report | Reporting
+"""A fit, or its report."""
+
+
+def compare_models(*reports: Compared | Mapping[str, Compared]) -> ModelComparison:
     """Compare models that were fitted to the same rows with the square loss.
 
     Parameters
     ----------
-    *reports : Report or Fit
+    *reports : Report or Fit, or mapping of str to Report or Fit
         At least two reports on the same rows of the same output, or fits, whose reports are made.
+        A mapping gives them other names than those of their functions.
 
     Returns
     -------
@@ -172,21 +179,34 @@ def compare_models(*reports: Report | Reporting) -> ModelComparison:
     Burnham and Anderson, Model Selection and Multimodel Inference, 2nd ed. 2002, Ch. 2 and 6.4.
     Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 3.10.
     """
-    if len(reports) < 2:
-        raise ValueError(f"compare_models: expected at least two reports, got {len(reports)}")
-    described = [report_of(fit) for fit in reports]
+    described = [report for given in reports for report in _reports_of(given)]
+    if len(described) < 2:
+        raise ValueError(f"compare_models: expected at least two reports, got {len(described)}")
     names = [report.problem.name for report in described]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(
-                f"two reports are called {name!r}; give one function another name, or one CurveFit "
-                "another label"
+                f"two reports are called {name!r}; give a mapping of names to reports, such as "
+                "{'free': ..., 'fixed': ...}"
             )
     for report in described:
         _check_same_data(described[0], report)
         _check_same_sigma(described[0], report)
         _check_comparable(report)
     return ModelComparison(tuple(described))
+
+
+def _reports_of(given: Compared | Mapping[str, Compared]) -> list[Report]:
+    """The report of a fit, or the reports of a mapping, whose problems have its names."""
+    if not isinstance(given, Mapping):
+        return [report_of(given)]
+    reports = []
+    for name, fit in given.items():
+        report = report_of(fit)
+        problem = copy.copy(report.problem)
+        vars(problem).update(label=name)
+        reports.append(replace(report, problem=problem))
+    return reports
 
 
 def _check_same_data(first: Report, second: Report) -> None:

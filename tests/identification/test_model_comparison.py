@@ -172,7 +172,7 @@ def test_models_are_nested_if_one_can_follow_the_other() -> None:
     ("change", "message"),
     [
         ("one", "expected at least two reports, got 1"),
-        ("name", "two reports are called 'line'; give one function another name"),
+        ("name", "two reports are called 'line'; give a mapping of names to reports"),
         ("data", "line and other are fits of different data .y in 50 rows of data, y in 49 of"),
         ("loss", "other has the loss Huber; expected Square, for which criteria"),
         ("exact", "other reproduces every row to rounding"),
@@ -220,3 +220,17 @@ def decay(x: Array, a: float, b: float) -> Array:
 
 def settling(x: Array, a: float, b: float, c: float) -> Array:
     return np.asarray(a * np.exp(-b * x) + c)
+
+
+def test_fits_of_one_function_are_named_by_a_mapping() -> None:
+    """With and without a fixed parameter; the F-test is that of the sums of squares."""
+    x = np.linspace(0, 1, 40)
+    y = 1 + 0.1 * np.random.default_rng(0).standard_normal(40)
+    box = {"a": (-9, 9), "b": (-9, 9)}
+    free = miho.fit(lambda x, a, b: a + b * x, x, y, box)
+    fixed = miho.fit(lambda x, a, b: a + b * x, x, y, box, fixed={"b": 0.0})
+    comparison = compare_models({"free": free, "b = 0": fixed.report()})
+    (test,) = comparison.tests.to_dict("records")
+    assert (test["smaller"], test["larger"]) == ("b = 0", "free")
+    assert test["F"] == pytest.approx(38 * (fixed.error**2 / free.error**2 - 1), rel=1e-6)
+    assert free.problem.name != "free"
