@@ -355,3 +355,25 @@ def test_a_pickled_part_keeps_what_all_parts_know() -> None:
             with pytest.raises(ValueError, match=f"{what}: part 'right' needs the joint fit"):
                 getattr(each, what)()
     pd.testing.assert_frame_equal(copy.parameters, part.parameters)
+
+
+def test_a_joint_fit_descends_from_a_start() -> None:
+    """Two lines in closed form; without bounds, sigma estimated or known."""
+    rng = np.random.default_rng(0)
+    y = {"low": 1 + 2 * t + rng.normal(0, 0.1, t.size), "high": 3 + 2 * t}
+    y["high"] += rng.normal(0, 0.1, t.size)
+    columns = np.kron(np.eye(2), np.ones((t.size, 1)))
+    columns = np.column_stack([columns, np.tile(t, 2)])
+    low, high, slope = np.linalg.lstsq(columns, np.concatenate([*y.values()]), rcond=None)[0]
+    parts = {name: (line, t, values, 0.1) for name, values in y.items()}
+    fit = miho.fit_joint(parts, start={"a": 1, "a_high": 5, "b": 1}, local=["a"])
+    assert fit.values == pytest.approx({"a_low": low, "b": slope, "a_high": high}, rel=1e-6)
+    assert fit.descents is None
+    without = {name: part[:3] for name, part in parts.items()}
+    unknown = miho.fit_joint(without, start=fit.values, local=["a"])
+    assert unknown.values["b"] == pytest.approx(slope, abs=0.1)
+    held = miho.fit_joint(parts, {"b": (0, 5)}, start={"b": 1}, local=["a"], fixed={"a": 2.0})
+    assert held.parameters["status"].tolist() == ["fixed", "free", "fixed"]
+    for start, message in (({"b": 1}, "a_low has no bounds"), ([1], "give its values by name")):
+        with pytest.raises(ValueError, match=message):
+            miho.fit_joint(parts, start=start, local=["a"])  # type: ignore[arg-type]

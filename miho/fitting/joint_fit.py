@@ -9,10 +9,11 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import NEAR, data_of
+from miho.fitting.arguments import NEAR, check_named, data_of
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
+from miho.fitting.one_fit import descended
 from miho.fitting.search import searched
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
@@ -49,8 +50,9 @@ class Part(NamedTuple):
 
 def fit_joint(
     parts: Mapping[str, Part | tuple[Any, ...]],
-    space: Space | Mapping[str, Any],
+    space: Space | Mapping[str, Any] | None = None,
     *,
+    start: Mapping[str, float] | None = None,
     local: str | Collection[str] = (),
     missing: Literal["raise", "drop"] = "raise",
     fixed: Mapping[str, float] | None = None,
@@ -74,11 +76,14 @@ def fit_joint(
     parts : mapping of str to Part or tuple
         The parts by name: model, x, y and optionally sigma of each. A missing sigma is estimated
         from the residuals of its part, in turn with the parameters [1]_.
-    space : Space or mapping of str
+    space : Space or mapping of str, optional
         Bounds of all parameters by name, as in `miho.fit`.
+    start : mapping of str to float, optional
+        A start of every free parameter, for descents in place of a search, as in `miho.fit`.
     local : str or collection of str, optional
         Parameters with a separate value in each part. The value of parameter NAME in part PART has
-        the name NAME_PART, and its bounds are the bounds of NAME unless NAME_PART has bounds.
+        the name NAME_PART. It has the bounds, the start or the fixed value of NAME unless NAME_PART
+        has its own.
     missing, fixed, tied, constraints, method, budget, seed, compiled : optional
         As in `miho.fit`.
     workers, evaluation_limit, journal : optional
@@ -115,6 +120,7 @@ def fit_joint(
     """
     if not isinstance(parts, Mapping):
         raise ValueError(f"parts are a {type(parts).__name__}; give them by name: {{'left': ...}}")
+    check_named(start=start, fixed=fixed, tied=tied)
     measured = {}
     for name, (model, x, y, *sigma) in parts.items():
         dataset, chosen, deviation = data_of(
@@ -122,7 +128,8 @@ def fit_joint(
         )
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, [local] if isinstance(local, str) else local)
-    bounds = joint.space(space, fixed, tied, constraints)
+    start = None if start is None else joint.with_local(start)
+    bounds = joint.space(space or {}, fixed, tied, constraints, start)
     plain = bounds.without_priors if joint.lacking else bounds  # priors need sigma
     problem = as_begun(
         lambda expensive: joint.problem(plain, compiled=compiled, expensive=expensive),
@@ -130,11 +137,17 @@ def fit_joint(
         evaluation_limit,
     )
     with expensive_fit(problem, workers, evaluation_limit, journal) as evaluations:
+
+        def solved(problem: CurveFit) -> Fit:
+            if start is not None:
+                return descended(problem, start, evaluations)
+            return searched(problem, method, budget, seed, evaluations)
+
         if joint.lacking:
             settings = {"compiled": compiled, "expensive": True}
             joint = joint.as_examined(problem)
-            problem = joint.complete(bounds, method, budget, seed, evaluations, **settings)
-        fit = searched(problem, method, budget, seed, evaluations)
+            problem = joint.complete(bounds, solved, evaluations, **settings)
+        fit = solved(problem)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents, moving=fit.moving)
 
 

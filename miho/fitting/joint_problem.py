@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,7 +24,7 @@ from miho.models.function_model import FunctionModel
 from miho.models.joint import JointModel, JointPart, joined, parts_of
 from miho.models.layout import PART
 from miho.models.model import Model
-from miho.optim import Budget, Optimizer, Parameter, Space
+from miho.optim import Parameter, Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -147,9 +147,11 @@ class Joint:
         fixed: Mapping[str, float] | None = None,
         tied: Mapping[str, str] | None = None,
         constraints: str | Sequence[str] = (),
+        start: Mapping[str, float] | None = None,
     ) -> Space:
         """The space from `bounds` by name; NAME_PART has the bounds of NAME by default."""
-        whole = space_of(self.model, self._with_local(bounds), None, fixed or {}, tied or {})
+        fixed = self.with_local(fixed or {})
+        whole = space_of(self.model, self.with_local(bounds), start, fixed, tied or {})
         return constrained(whole, constraints)
 
     def problem(self, space: Space, **settings: Any) -> CurveFit:
@@ -164,8 +166,8 @@ class Joint:
         """Whether sigma is absolute: it is not if all parts lack it."""
         return self.known and len(self.lacking) < len(self.parts)
 
-    def _with_local(self, bounds: Space | Mapping[str, Any]) -> dict[str, Any]:
-        """Bounds by name, with bounds of local parameters repeated for each part."""
+    def with_local(self, bounds: Space | Mapping[str, Any]) -> dict[str, Any]:
+        """Bounds or other values by name; a local parameter has its value in each part."""
         ranges = dict(bounds) if isinstance(bounds, Mapping) else {}
         if isinstance(bounds, Space):
             ranges = {parameter.name: parameter for parameter in bounds.parameters}
@@ -194,9 +196,7 @@ class Joint:
     def complete(
         self,
         space: Space,
-        method: Optimizer | str | None = None,
-        budget: Budget | None = None,
-        seed: int = 0,
+        solve: Callable[[CurveFit], Fit] = searched,
         evaluations: Evaluations | None = None,
         **settings: Any,
     ) -> CurveFit:
@@ -212,15 +212,13 @@ class Joint:
         self._check_estimable(settings.get("rho"))
         joint = self
         if space.has_priors:
-            plain = self.complete(
-                space.without_priors, method, budget, seed, evaluations, **settings
-            )
+            plain = self.complete(space.without_priors, solve, evaluations, **settings)
             rows = plain.dataset[PART]
             first = {name: float(plain.dataset[SIGMA][rows == k][0])
                      for k, name in enumerate(self.parts) if name in self.lacking}  # fmt: skip
             joint = self._with(first, parts_of(plain.model))
         problem = joint.problem(space, prior_scale=joint._scale, **settings)
-        fit = searched(problem, method, budget, seed, evaluations)
+        fit = solve(problem)
         models = parts_of(fit.problem.model)  # traced once
         for _ in range(ROUNDS):
             whole = spread(fit.problem, evaluations)
