@@ -16,7 +16,7 @@ from experiments.app.explain import ConfigError as ConfigError
 from experiments.app.explain import unknown_message
 from experiments.app.instantiation import MISSING, instantiate, part_of
 from experiments.app.origin import code_of, packages_of
-from experiments.app.parts import model_files, part_nodes, with_local
+from experiments.app.parts import model_files, own_files, part_nodes, with_local
 from experiments.app.safety import check_no_secret, check_root
 from experiments.app.schema import Config
 from miho.data import Dataset
@@ -165,7 +165,7 @@ def _means(setting: Mapping[str, Any]) -> tuple[int | str, float | None]:
 
 def runs_own_code(cfg: Settings) -> bool:
     """Whether building this configuration runs a file of the user."""
-    return bool(model_files(plain(cfg)))
+    return bool(own_files(plain(cfg)))
 
 
 def recorded_optimum(cfg: Settings) -> float | None:

@@ -1,15 +1,17 @@
 """Instantiation of configured objects; no other module instantiates targets.
 
 A configuration can name only public classes and functions of our packages, so it cannot run other
-code. The exceptions are `miho.models.load_function`, `load_trajectory` and `FmuModel`: they run the
-file that `model.path` names, which the user chooses on the command line or in a YAML file.
+code. The exceptions are files that the user names on the command line or in a YAML file:
+`miho.models.load_function`, `load_trajectory` and `FmuModel` run the file of `model.path`, and a
+method with `optimizer.path` is a class of that file.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 from experiments.app.explain import ConfigError, unknown_message
 from experiments.app.safety import (
@@ -17,9 +19,12 @@ from experiments.app.safety import (
     check_no_secret,
     find_target,
     guard_environment,
+    is_final,
     nested_target,
 )
 from experiments.app.schema import RENAMED
+from miho.models.user_file import executed
+from miho.optim import Optimizer
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
 
@@ -41,9 +46,11 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     settings; both are checked before a target is imported or called. Hydra's `instantiate` is not
     used, because it runs any target.
     """
-    target = _target(node.get("_target_"), key, kind)
+    own = kind is Optimizer and node.get("path") is not None
+    target = _own_class(node, key, kind) if own else _target(node.get("_target_"), key, kind)
     allowed = inspect.signature(target).parameters
-    settings = {name: value for name, value in node.items() if name != "_target_"}
+    used = ("_target_", "path") if own else ("_target_",)
+    settings = {name: value for name, value in node.items() if name not in used}
     for name, value in settings.items():
         if name not in allowed:
             raise ConfigError(unknown_message(f"{key}.{name}", allowed))
@@ -74,6 +81,24 @@ def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
         raise ConfigError(f"{key}._target_: {former}") from None
     except ImportError as error:
         raise MissingLibraryError(f"{key}: {error}") from None
+
+
+def _own_class(node: Mapping[str, Any], key: str, kind: type[T]) -> Callable[..., T]:
+    """Class in a file of the user, which is run."""
+    path, name = node["path"], node.get("_target_")
+    if not isinstance(path, str):
+        raise ConfigError(f"{key}.path: is {path!r}; expected a file")
+    try:
+        members = vars(executed(Path(path))).items()
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    classes = {name: member for name, member in members if is_final(member, kind)}
+    if name not in classes:
+        raise ConfigError(
+            f"{key}._target_: {path} has no class {name} derived from miho.{kind.__name__}; "
+            f"it has {', '.join(classes) or 'none'}"
+        )
+    return cast(Callable[..., T], classes[name])
 
 
 def _checked_value(value: Any, annotation: Any, key: str) -> Any:

@@ -31,7 +31,8 @@ WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"
 
 def packages_of(method: object) -> dict[str, str]:
     """Versions of NumPy, SciPy and the libraries that the method wraps."""
-    names = vars(sys.modules[type(method).__module__]).values()
+    module = sys.modules.get(type(method).__module__)  # None for a file of the user
+    names = vars(module).values() if module else ()
     tops = {str(getattr(x, "__module__", None) or getattr(x, "__name__", "")) for x in names}
     wrapped = {WRAPPED[name] for top in tops if (name := top.partition(".")[0]) in WRAPPED}
     return {name: _version(name) for name in sorted(NUMERICAL | wrapped)}
@@ -42,13 +43,15 @@ _version = cache(version)
 
 
 def code_of(setting: Mapping[str, Any], problem: CurveFit, optimizer: Optimizer) -> str:
-    """Digest of the code that can affect the result of a run, including the file of the model.
+    """Digest of the code that can affect the result of a run, including the user's files.
 
-    It covers the modules of this run's parts and the modules that they import. A change of code
-    that the run does not use leaves the digest unchanged.
+    It covers the modules of this run's parts and the modules that they import; of a method in a
+    file of the user, the file and the modules of its base classes. A change of code that the run
+    does not use leaves the digest unchanged.
     """
-    parts = (problem, problem.model, problem.rho, optimizer)
+    parts = (problem, problem.model, problem.rho)
     modules = {type(part).__module__ for part in parts} | {"miho.optim.minimize"}
+    modules |= {base.__module__ for base in type(optimizer).__mro__}
     for nodes in part_nodes(setting).values():
         for key, kind in (("model", Model), ("dataset", Dataset)):
             modules.add(find_target(nodes[key]["_target_"], kind).__module__)
@@ -57,6 +60,8 @@ def code_of(setting: Mapping[str, Any], problem: CurveFit, optimizer: Optimizer)
     code = our_code(frozenset(modules))
     models = [problem.model, *(part.model for part in parts_of(problem.model))]
     sources = dict.fromkeys(m.source for m in models if m.source is not None)
+    if setting["optimizer"].get("path") is not None:
+        sources[Path(setting["optimizer"]["path"])] = None
     texts = b"".join(source.read_bytes() for source in sources)
     return sha256(code.encode() + texts) if sources else code
 

@@ -47,6 +47,13 @@ def model_files(config: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(_paths(config)))
 
 
+def own_files(config: Mapping[str, Any]) -> list[str]:
+    """Files of the user that run with a configuration: its models, and its method."""
+    method = config["optimizer"]
+    path = method.get("path") if isinstance(method, Mapping) else None
+    return [*model_files(config), *([] if path is None else [str(path)])]
+
+
 def _paths(config: Mapping[str, Any]) -> Iterator[str]:
     for nodes in part_nodes(config).values():
         model = nodes["model"]

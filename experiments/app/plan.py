@@ -21,7 +21,7 @@ from experiments.app.build import (
     runs_own_code,
 )
 from experiments.app.explain import ConfigError, one_line
-from experiments.app.parts import model_files
+from experiments.app.parts import model_files, own_files
 from experiments.app.schema import SweepConfig
 from miho.data import Dataset
 from miho.identification import CurveFit
@@ -187,13 +187,13 @@ def _identity(text: str) -> Identity | str:
 
 
 def _code_of(setting: Mapping[str, Any]) -> str:
-    """SHA-256 of the files of the model; of the empty string if there is no file."""
-    paths = map(Path, model_files(setting))
+    """SHA-256 of the user's files; of the empty string if there is no file."""
+    paths = map(Path, own_files(setting))
     return sha256(b"".join(path.read_bytes() for path in paths if path.is_file()))
 
 
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
-    """Identity of a run whose model cannot be built, with the name of the file as model name."""
+    """Identity of a run that cannot be built, with the name of a model's file as model name."""
     optimizer = method_of(setting)
     config = {key: value for key, value in setting.items() if key not in MEANS}
     about: dict[str, Any] = {
@@ -204,6 +204,6 @@ def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
         "data": "",
     }
     try:
-        return Identity(Path(model_files(setting)[0]).stem, **about)
+        return Identity(Path([*model_files(setting), NAMELESS][0]).stem, **about)
     except ValueError:  # the name cannot be a folder
         return Identity(NAMELESS, **about)

@@ -1,10 +1,11 @@
 """Checks of configurations before they are used.
 
 A model, dataset, loss or method names its target. Only public classes and functions of our packages
-are allowed, so a stored result or a received experiment cannot run other code. The size of YAML
-files is limited, because aliases can expand beyond any memory. A stored run must not contain a
-secret. Settings of Hydra, such as callbacks and launchers, come only from the command line, from
-conf/ or from --config-dir, and never from a stored result.
+are allowed, so a stored result or a received experiment cannot run other code, except a file that
+the user names (see `instantiation`). The size of YAML files is limited, because aliases can expand
+beyond any memory. A stored run must not contain a secret. Settings of Hydra, such as callbacks and
+launchers, come only from the command line, from conf/ or from --config-dir, and never from a stored
+result.
 """
 
 from __future__ import annotations
@@ -82,9 +83,11 @@ def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     present = new_name(path) if isinstance(path, str) else None
     if present in allowed(kind):
         raise TargetError(f"{path!r} is now {present!r}")
+    article = "an" if kind.__name__[0] in "AEIOU" else "a"
+    own = "; a class in your own file needs path: FILE.py too" if kind is Optimizer else ""
     raise TargetError(
-        f"{_shortened(path)} is not a class or function that gives a {kind.__name__}; "
-        f"allowed are {', '.join(allowed(kind))}"
+        f"{_shortened(path)} is not a class or function that gives {article} {kind.__name__}"
+        f"{own}; allowed are {', '.join(allowed(kind))}"
     )
 
 
@@ -115,9 +118,14 @@ def _public(home: ModuleType, kind: type) -> list[str]:
     return [name for name in home.__all__ if _gives(getattr(home, name), kind)]
 
 
+def is_final(member: object, kind: type) -> bool:
+    """Whether an object is a class derived from `kind` without abstract methods."""
+    return inspect.isclass(member) and issubclass(member, kind) and not inspect.isabstract(member)
+
+
 def _gives(member: Any, kind: type) -> bool:
     if inspect.isclass(member):
-        return issubclass(member, kind) and not inspect.isabstract(member)
+        return is_final(member, kind)
     return inspect.isfunction(member) and (
         inspect.get_annotations(member).get("return") == kind.__name__
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -153,6 +154,8 @@ def executed(source: Path) -> types.ModuleType:
     # An import would write a cache next to the file, and would use it even after an edit within
     # the same second.
     text = read_regular(source)
+    # Dataclasses look their module up there.
+    added = sys.modules.setdefault(module.__name__, module) is module
     try:
         exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
     except SyntaxError as error:
@@ -161,4 +164,7 @@ def executed(source: Path) -> types.ModuleType:
         line = line_in(error, str(source))
         place = f"{source}:{line}" if line else str(source)
         raise ValueError(f"{place}: raises {type(error).__name__}: {error}") from error
+    finally:
+        if added:
+            sys.modules.pop(module.__name__, None)
     return module

@@ -1,0 +1,112 @@
+"""A method of the user: a class in a file that `optimizer.path` names."""
+
+from pathlib import Path
+
+import pytest
+from omegaconf import DictConfig, open_dict
+
+from experiments.app.build import ConfigError, build, build_optimizer
+from experiments.app.compose import composed
+from experiments.app.plan import requests
+from experiments.app.runs import run
+from experiments.app.schema import SweepConfig, register
+from miho.study import Status
+
+FILE = """
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import miho
+
+
+@dataclass(frozen=True)
+class Walk(miho.Optimizer):
+    points: int = 4
+
+    def run(self, oracle, rng):
+        space = oracle.space
+        while True:
+            oracle(space.decode(space.sample(self.points, rng)))
+
+
+class Other(miho.Optimizer):
+    def run(self, oracle, rng):
+        raise OSError("not today")
+"""
+register()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "walk.py"
+    path.write_text(FILE, encoding="utf-8")
+    return path
+
+
+def config(file: Path, target: str = "Walk", **settings: object) -> DictConfig:
+    cfg = composed(["dataset.n=40", "budget.evaluations=20", f"root={file.parent / 'runs'}"])
+    with open_dict(cfg):
+        cfg.optimizer = {"_target_": target, "path": str(file)} | settings
+        cfg.method = None
+    return cfg
+
+
+def test_it_runs_and_is_named_by_its_class(file: Path) -> None:
+    cfg = config(file, points=5)
+    assert build_optimizer(cfg).points == 5  # type: ignore[attr-defined]
+    plan = requests(cfg, "", range(2))
+    assert all(request.own_code and request.identity.optimizer == "walk" for request in plan)
+    (first, second) = run(plan, SweepConfig(workers=2)).states
+    assert first.status is second.status is Status.RAN
+    assert first.error != second.error
+
+
+def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> None:
+    identities = [build(config(file)).identity, build(config(file, points=5)).identity]
+    file.write_text(FILE.replace("self.points, rng", "self.points - 1, rng"), encoding="utf-8")
+    identities.append(build(config(file)).identity)
+    assert len({identity.id for identity in identities}) == 3
+    assert identities[2].code != identities[0].code
+
+
+@pytest.mark.parametrize(
+    ("target", "settings", "message"),
+    [
+        ("Wlak", {}, r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other"),
+        ("Path", {}, "has no class Path"),
+        ("os.system", {}, "has no class os.system"),
+        ("Walk", {"point": 3}, r"optimizer.point: is unknown; did you mean points\?"),
+        ("Walk", {"points": "many"}, "optimizer.points: is 'many'"),
+        ("Walk", {"path": 3}, "optimizer.path: is 3; expected a file"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    file: Path, target: str, settings: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        build_optimizer(config(file, target, **settings))
+
+
+def test_a_file_that_cannot_be_run_names_its_line(file: Path) -> None:
+    file.write_text("import miho\n1 / 0\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"walk.py:2: raises ZeroDivisionError"):
+        build_optimizer(config(file))
+    with pytest.raises(FileNotFoundError):
+        build_optimizer(config(file.with_name("none.py")))
+    (lost,) = run(requests(config(file), "", [0], lose=True), SweepConfig()).states
+    assert lost.status is Status.LOST
+
+
+def test_a_run_that_raises_fails_alone(file: Path) -> None:
+    (failed,) = run(requests(config(file, "Other"), "", [0]), SweepConfig()).states
+    assert failed.status is Status.FAILED
+    assert "not today" in failed.line
+
+
+def test_without_a_path_the_message_names_it() -> None:
+    cfg = composed([])
+    with open_dict(cfg):
+        cfg.optimizer = {"_target_": "mine.Walk"}
+    with pytest.raises(ConfigError, match=r"'mine.Walk' is not .* needs path: FILE.py too"):
+        build_optimizer(cfg)
