@@ -20,7 +20,7 @@ from omegaconf import DictConfig
 from experiments.app.build import build
 from experiments.app.console import SOME_FAILED, EndedError, command
 from experiments.app.forecast import announce
-from experiments.app.plan import request_of, requests, sweep_settings
+from experiments.app.plan import Trials, request_of, requests, sweep_settings
 from experiments.app.run_text import print_summary, result_text
 from experiments.app.runs import run
 from miho.identification.line_wrapping import for_terminal
@@ -48,7 +48,8 @@ def identify(cfg: DictConfig) -> float | None:
     """
     settings = sweep_settings(cfg.sweep)
     if settings.dry_run:
-        plan = requests(cfg, "", [cfg.seed], settings.time_limit)
+        with Trials(settings.time_limit) as trials:
+            plan = requests(cfg, "", [cfg.seed], trials)
         print_summary(run(plan, settings).states)
         return None
     is_job = HydraConfig.get().mode is RunMode.MULTIRUN

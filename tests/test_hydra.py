@@ -107,6 +107,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "--cfg job --resolve": (["--cfg", "job", "--resolve"], 0, "method: null"),
     "--package": (["--cfg", "job", "--package", "budget"], 0, r"evaluations: 20"),
     "--info config": (["--info", "config"], 0, ""),
+    "--info last": (["--info"], 0, ""),
     "--info defaults": (["--info", "defaults"], 0, ""),
     "--info plugins": (["--info", "plugins"], 0, ""),
     "--version": (["--version"], 0, r"[Hh]ydra 1\."),

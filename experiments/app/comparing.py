@@ -22,7 +22,7 @@ from experiments.app.build import (
 from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.instantiation import MissingLibraryError
-from experiments.app.plan import Request, requests
+from experiments.app.plan import Request, Trials, requests
 from experiments.app.working import State
 from miho.study import Status
 from miho.vehicle.data import DataUnavailableError
@@ -106,7 +106,10 @@ def plan_arena(
     plan: list[Request] = []
     kinds = set()
     count = len(comparison.methods) + len(comparison.problems)
-    with tqdm(total=count, desc="planning", leave=False, disable=None) as bar:
+    with (
+        Trials(cfg.sweep.time_limit) as trials,
+        tqdm(total=count, desc="planning", leave=False, disable=None) as bar,
+    ):
         # Methods first: a method that is not installed is left out on every problem.
         for name, replaced in comparison.methods.items():
             bar.update()
@@ -132,7 +135,7 @@ def plan_arena(
                         {**setting, **optimizer},
                         f"problem={name} optimizer={optimizer['method']}",
                         range(comparison.repetitions),
-                        cfg.sweep.time_limit,
+                        trials,
                     )
                     for optimizer in optimizers
                 ]

@@ -57,6 +57,10 @@ BAD_INPUT_ERRORS = (
     MissingNumbaError,
 )  # fmt: skip
 
+SILENT = 2.0
+COMPOSING = "composing the jobs of the sweep, about 0.1 s each"
+"""Text after so many seconds [s] without another."""
+
 Task = Callable[[DictConfig], float | None]
 VALUED = (
     "--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn",
@@ -97,6 +101,9 @@ class Job:
         self.task, self.pool = task, pool
         self.sweep: Any = None
         """The `experiments.app.launch.Sweep` of the pool, after its start."""
+        self.composing = threading.Timer(SILENT, print, [COMPOSING], {"file": sys.stderr})
+        """Prints a line if Hydra composes the jobs of a sweep for a long time."""
+        self.composing.daemon = True
 
     def __call__(self, cfg: DictConfig) -> float | None:
         """Run one job; bad input of a single run, or an ending that it printed, is no failure."""
@@ -160,7 +167,7 @@ def command(
         if not completes:
             check_typed(overrides)
             check_choices(overrides)
-        sys.argv[1:] = [*options, *replace_spaces(overrides)]
+        sys.argv[1:] = [*replace_spaces(overrides), *options]  # --info may take the next word
         try:
             main = hydra.main(
                 version_base=VERSION_BASE, config_path=str(CONF), config_name=config_name
@@ -171,6 +178,7 @@ def command(
         except _Refused as refused:
             raise refused.__cause__ or refused from None
         finally:
+            job.composing.cancel()
             code = OK if job.sweep is None else job.sweep.summed_up()
         return afterwards(job.sweep) if afterwards and job.sweep is not None else code
 

@@ -15,11 +15,12 @@ from typing import Any
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
+from tqdm import tqdm
 
 from experiments.app.compose import job_config
 from experiments.app.console import OK, Job
 from experiments.app.explain import ConfigError
-from experiments.app.plan import Request, requests, sweep_settings
+from experiments.app.plan import Request, Trials, requests, sweep_settings
 from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 from experiments.app.working import State
@@ -79,6 +80,7 @@ def launch(
         cfg = job_config(_copied(config), config.hydra.runtime.choices)
         task.sweep = Sweep(cfg, _typed(config))
     sweep, checked = task.sweep, sweep_settings(settings)
+    task.composing.cancel()
     composed = _composed(jobs, context, config)
     plan = _planned(jobs, composed, checked.time_limit)
     _announce(jobs, composed, context, task)
@@ -112,7 +114,8 @@ def _composed(
     """Configuration of each setting, with the node `hydra`, the setting of the last job first."""
     settings = dict.fromkeys(job.setting for job in reversed(jobs))
     compose = context.config_loader.load_sweep_config
-    return {setting: compose(config, list(setting)) for setting in settings}
+    bar = tqdm(settings, "composing", leave=False, disable=None)
+    return {setting: compose(config, list(setting)) for setting in bar}
 
 
 def _planned(
@@ -131,13 +134,14 @@ def _planned(
         here = [job for job in jobs if job.setting == setting]
         seeds = [cfg.seed if job.seed is None else job.seed for job in here]
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
-        of_setting = requests(cfg, words, seeds, time_limit, lose=lose)
+        of_setting = requests(cfg, words, seeds, trials, lose=lose)
         planned.update(zip((job.number for job in here), of_setting, strict=True))
 
-    for setting, config in composed.items():
-        plan(setting, config, lose=len(composed) > 1)
-    if len(composed) > 1 and all(request.lost for request in planned.values()):
-        plan(*next(iter(composed.items())), lose=False)  # raises the error that they share
+    with Trials(time_limit) as trials:
+        for setting, config in tqdm(composed.items(), "checking", leave=False, disable=None):
+            plan(setting, config, lose=len(composed) > 1)
+        if len(composed) > 1 and all(request.lost for request in planned.values()):
+            plan(*next(iter(composed.items())), lose=False)  # raises the error that they share
     return [planned[job.number] for job in jobs]
 
 

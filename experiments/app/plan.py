@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from experiments.app.build import (
     runs_own_code,
 )
 from experiments.app.explain import ConfigError, one_line
+from experiments.app.origin import our_code
 from experiments.app.parts import model_files, own_files
 from experiments.app.schema import SweepConfig
 from miho.data import Dataset
@@ -33,7 +35,7 @@ from miho.study.identity import sha256
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
 NAMELESS = "model"
 POLL = 0.2
-MODULES = ("experiments.app.runs",)
+MODULES = ("experiments.app.runs", "scipy.special")
 """Modules that a worker process imports before its first run."""
 
 
@@ -64,14 +66,14 @@ def requests(
     cfg: Settings,
     words: str,
     seeds: Sequence[int],
-    time_limit: float | None = None,
+    trials: Trials | None = None,
     *,
     lose: bool = False,
 ) -> list[Request]:
     """Requests of one configuration with several seeds; raises ConfigError for bad input.
 
-    The user's model is tried in a separate process within the time limit of a run. If that process
-    ends, or if `lose` is true and the model cannot be built, only these runs are lost.
+    The user's files are tried in a separate process (`trials`). If that process ends, or if `lose`
+    is true and the run cannot be built, only these runs are lost.
     """
     for seed in seeds:
         if seed < 0:
@@ -80,19 +82,55 @@ def requests(
     text, root = _text(setting), str(setting["root"])
     own_code, lost = runs_own_code(setting), None
     if own_code:
-        code = _code_of(setting)
         try:
-            identity, lost = _try_in_worker(text, code, time_limit)
+            with nullcontext(trials) if trials else Trials() as trying:
+                identity, lost = trying.identity_of(text)
         except ConfigError as error:
             if not lose:
                 raise
-            identity, lost = _named_only(setting, code), str(error)
+            identity, lost = _named_only(setting), str(error)
     else:
         identity = experiment_of(text).identity
     return [
         Request(f"{words} seed={s}".strip(), text, replace(identity, seed=s), root, own_code, lost)
         for s in seeds
     ]
+
+
+class Trials(AbstractContextManager["Trials"]):
+    """A process in which configurations with files of the user are tried, within a time limit [s].
+
+    It starts with the first trial, and each trial has a fork of it.
+    """
+
+    def __init__(self, time_limit: float | None = None) -> None:
+        self._time_limit = time_limit
+        self._workers: Workers[str, Identity | str] | None = None
+
+    def __exit__(self, *_: object) -> None:
+        if self._workers is not None:
+            self._workers.kill()
+
+    def identity_of(self, text: str) -> tuple[Identity, str | None]:
+        """Identity of a run of a configuration in JSON.
+
+        If the process ends, return the identity of `_named_only` and the reason. Raises ConfigError
+        for faults that the user can correct.
+        """
+        if self._workers is None:
+            self._workers = Workers(
+                _identity, 1, self._time_limit, MODULES, prepare=_prepare, alone=bool
+            )
+        self._workers.start(text)
+        ended: list[JobOutcome[str, Identity | str]] = []
+        while not ended:
+            ended = self._workers.wait(POLL)
+        identity = ended[0].result
+        if isinstance(identity, str):
+            raise ConfigError(identity)
+        if identity is not None:
+            return identity, None
+        return _named_only(setting_of(text)), ended[0].reason
 
 
 def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
@@ -157,25 +195,9 @@ def dataset_of(text: str) -> Dataset | None:
     return None if setting["problem"]["parts"] else build_dataset(setting["dataset"])
 
 
-@cache
-def _try_in_worker(text: str, code: str, time_limit: float | None) -> tuple[Identity, str | None]:
-    """Identity of a run of the user's model, built in a worker within the time limit.
-
-    If the worker ends, return the identity of `_named_only` and the reason. `code` is the digest of
-    the model's code, so that an edit invalidates the cached result. Raises ConfigError for faults
-    that the user can correct.
-    """
-    with Workers(_identity, 1, time_limit, MODULES, alone=bool) as workers:
-        workers.start(text)
-        ended: list[JobOutcome[str, Identity | str]] = []
-        while not ended:
-            ended = workers.wait(POLL)
-    identity = ended[0].result
-    if isinstance(identity, str):
-        raise ConfigError(identity)
-    if identity is not None:
-        return identity, None
-    return _named_only(setting_of(text), code), ended[0].reason
+def _prepare(_: str) -> None:
+    """In a worker, before each fork: read the code of which all trials need the digest."""
+    our_code(frozenset({CurveFit.__module__, "miho.optim.minimize"}))
 
 
 def _identity(text: str) -> Identity | str:
@@ -192,7 +214,7 @@ def _code_of(setting: Mapping[str, Any]) -> str:
     return sha256(b"".join(path.read_bytes() for path in paths if path.is_file()))
 
 
-def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
+def _named_only(setting: Mapping[str, Any]) -> Identity:
     """Identity of a run that cannot be built, with the name of a model's file as model name."""
     optimizer = method_of(setting)
     config = {key: value for key, value in setting.items() if key not in MEANS}
@@ -200,7 +222,7 @@ def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
         "optimizer": optimizer,
         "seed": 0,
         "config": config,
-        "code": code,
+        "code": _code_of(setting),
         "data": "",
     }
     try:

@@ -29,7 +29,11 @@ class PoolLauncher(Launcher):
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
-        """Keep the configuration and the task of the multirun."""
+        """Keep the configuration and the task of the multirun, whose jobs Hydra composes next."""
+        from experiments.app.console import Job
+
+        if isinstance(task_function, Job):
+            task_function.composing.start()
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(
