@@ -177,7 +177,8 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a target of another kind": (["model._target_=miho.optim.MIHO"], "that gives a Model"),
     "a private target": (["dataset._target_=miho.data.csv._number"], "that gives a Dataset"),
     "an unknown key, added": (["+sed=1"], "sed: is unknown; did you mean seed? allowed are model"),
-    "an unknown limit, added": (["+budget.dollars=1"], "unexpected keyword argument 'dollars'"),
+    "an unknown limit, added": (["+budget.second=1"], "budget.second: is unknown; did you"),
+    "an unknown bound, added": (["++space.B.lo=1"], "space.B.lo: is unknown; did you mean low?"),
     "a range without end": (
         ["space.B.sigma_max=inf"],
         "'B': sigma_min is 0.0 and sigma_max is inf",

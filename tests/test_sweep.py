@@ -11,8 +11,10 @@ from omegaconf import DictConfig
 
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
+from experiments.app.console import SOME_FAILED
 from experiments.app.plan import Request, requests, sweep_settings
 from experiments.app.reports import read_sweep, save_sweep
+from experiments.app.run_text import print_summary
 from experiments.app.runs import run, stored_state
 from experiments.app.schema import SweepConfig, register
 from experiments.app.working import State, ended_state
@@ -56,6 +58,21 @@ def test_a_model_that_cannot_be_built_is_lost_alone_where_that_is_asked_for(tmp_
     (first, second) = run(runs, SweepConfig()).states
     assert first.status is second.status is Status.LOST
     assert re.search(reason, first.line)
+
+
+def test_runs_lost_for_one_reason_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost = [
+        ended_state(JobOutcome(request, reason=reason))
+        for request, reason in zip(runs_of(tmp_path, seeds=4), "aaba", strict=True)
+    ]
+    assert print_summary(lost) == SOME_FAILED
+    assert capsys.readouterr().out.splitlines() == [
+        "lost: seed=0 and 2 more with this reason: a",
+        "lost: seed=2: b",
+        "4 runs: 4 lost",
+    ]
 
 
 def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     untried = problem is None
     problem = build_problem(setting, expensive=True) if problem is None else problem
     try:
-        budget = Budget(**part_of(setting, "budget"))
+        budget = Budget(**_known(Budget, part_of(setting, "budget"), "budget"))
         config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
         space = with_local(setting, part_of(setting, "space"))
         config["space"] = scaled_by(problem.dataset, space)
@@ -366,10 +366,20 @@ def build_space(node: Mapping[str, Any]) -> Space:
             missing = [key for key in missing if key not in UNBOUNDED]
         if missing:
             raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
+        _known(Parameter, settings, f"space.{name}")
     try:
         return Space(tuple(Parameter(name, **settings) for name, settings in plain.items()))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"space: {error}") from None
+
+
+def _known(kind: type, settings: dict[str, Any], key: str) -> dict[str, Any]:
+    """The settings of a dataclass; raises ConfigError for an unknown one, which `++` can add."""
+    allowed = [field.name for field in fields(kind)]
+    for name in settings:
+        if name not in allowed:
+            raise ConfigError(unknown_message(f"{key}.{name}", allowed))
+    return settings
 
 
 def _root(text: str) -> Path:

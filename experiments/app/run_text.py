@@ -39,15 +39,24 @@ def print_summary(states: Sequence[State]) -> int:
         print("\n".join(state.line for state in states if state.line))
     _print_errors(states)
     bad = [state for state in states if state.reason is not None]
-    for state in bad:
-        why = "" if state.reason == state.status else f": {state.reason}"
-        print(f"{state.status}: {state.request.words}{why}")
+    _print_reasons(bad)
     for root in dict.fromkeys(state.request.root for state in states if state.error is not None):
         print(_report_command(root, states))
     counts = Counter(state.status for state in states)
     text = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
     print(f"{len(states)} run{'s' * (len(states) != 1)}: {text}")
     return SOME_FAILED if bad else OK
+
+
+def _print_reasons(bad: Sequence[State]) -> None:
+    """Print the runs without a result, those with the same reason in one line."""
+    runs: dict[str, list[str]] = {}
+    for state in bad:
+        why = "" if state.reason == state.status else f": {state.reason}"
+        runs.setdefault(why, []).append(f"{state.status}: {state.request.words}")
+    for why, names in runs.items():
+        more = f" and {len(names) - 1:,} more with this reason" * (len(names) > 1)
+        print(f"{names[0]}{more}{why}")
 
 
 def _report_command(root: str, states: Sequence[State]) -> str:

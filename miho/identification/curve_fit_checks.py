@@ -51,7 +51,7 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     declared |= {f"output {dataset.output!r} of {dataset.name}": problem.unit}
     needed_units = (*model.parameters.values(), *model.inputs.values(), model.output)
     for (place, unit), needed in zip(declared.items(), needed_units, strict=True):
-        if unit != needed and needed and unit:
+        if needed and unit and UNITS.get(unit, unit) != UNITS.get(needed, needed):
             raise ValueError(
                 f"{place} has unit {unit!r}; model {model_name} needs {needed!r}"
                 + f"; write the model for {unit!r}, since files are read in SI units"

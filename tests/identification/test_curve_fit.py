@@ -210,6 +210,15 @@ def test_shapes_are_checked_once() -> None:
         CurveFit(Turned(), p.dataset, SPACE)
 
 
+def test_two_spellings_of_a_unit_are_one_unit() -> None:
+    class OfFrequency(Pacejka):
+        inputs, output = {"alpha": "Hz"}, "m/s^2"
+
+    p = problem()
+    data = Dataset("d", p.dataset.columns, {"alpha": "1/s", "Fy": "m/s2"}, "Fy")
+    CurveFit(OfFrequency(), data, SPACE)
+
+
 def test_the_space_must_fit_the_model() -> None:
     class InKilonewtons(Pacejka):
         output = "kN"
