@@ -494,9 +494,16 @@ def test_help_is_short_and_of_each_command(identify: Command, compare: Command) 
         ("optim", ["optimizer="]),
         ("-m optimizer=miho,pso_c", ["miho,pso_constriction"]),
         ("seed=0 loss=", ["cauchy", "huber", "square"]),
+        ("optimizer=r500/mi", ["r500/miho", "r500/miho_reference"]),
+        ("--config-dir @ optimizer=fire", ["firefly"]),
+        ("optimizer=fire", []),
+        ("-cd=@ optim", ["optimizer="]),
     ],
 )
-def test_completion(identify: Command, typed: str, completed: list[str]) -> None:
+def test_completion(identify: Command, tmp_path: Path, typed: str, completed: list[str]) -> None:
+    (tmp_path / "optimizer").mkdir()
+    (tmp_path / "optimizer" / "firefly.yaml").touch()
+    typed = typed.replace("@", str(tmp_path))
     script = identify("--shell-completion")[1]
     line = f"python -m experiments.identify {typed}"
     program = (
