@@ -44,7 +44,9 @@ def main() -> None:
         type=Path,
         help="folder of runs (fig6: runs/compare; arena: runs/arena; else runs/identify)",
     )
-    parser.add_argument("--output", type=Path, help="folder of the figures (ROOT/figures)")
+    parser.add_argument(
+        "--output", type=Path, help="folder of the figures (ROOT/figures; with a problem, below it)"
+    )
     parser.add_argument(
         "--optimizer", default="miho", help="method of fig4, fig4_right and fig5 (miho)"
     )
@@ -55,7 +57,7 @@ def main() -> None:
     arguments = parser.parse_args(as_options(sys.argv[1:], OPTIONS))
     usual = {"fig6": "compare", "arena": "arena"}.get(arguments.name, "identify")
     root = arguments.root or Path("runs", usual)
-    output = arguments.output or root / "figures"
+    output = arguments.output or root / "figures" / (arguments.problem or "")
     methods = arguments.methods
     if methods not in (None, "paper"):
         methods = methods.split(",")

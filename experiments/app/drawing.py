@@ -17,6 +17,7 @@ from baselines.arena.results import ArenaResults, TooFewError, write_arena
 from experiments.app.build import ConfigError, build_dataset, rebuild
 from experiments.app.configured import as_configured
 from experiments.app.front_axle import FrontAxle, facts, verdict
+from experiments.app.run_text import table_text
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.compare.claims import is_on_a_tire
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
@@ -34,6 +35,8 @@ from miho.vehicle.models import Axle
 TIRES = ("lf", "rf", "lr", "rr")
 HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])
 """Factors from the curve (B, C, D, Sx, Sy) of an axle to the curve of one of two equal tires."""
+LEFT_OUT = ("best [", "worst [", "reason")
+"""First words of columns that only the files of a table have."""
 CAPTIONS = {
     "results": "Evaluations and seconds are medians over repetitions; never: half of them or more "
     "did not get there. Success: share of runs within 1 % of the best error.",
@@ -87,17 +90,21 @@ def draw_comparison(
     them. `command` is the command that made them, by default the sweeps of the root. The claims are
     about MIHO on a tire; their table is left out without MIHO or without a tire.
     """
-    if message := missing_runs(root):
+    if message := missing_runs(root, problem):
         print(message, file=sys.stderr)
     runs, curves = compared(root, methods, problem, ids)
     comparison = Comparison.of_stored(runs, curves, command or _made_by(root, runs))
     runs, note = comparison.runs, comparison.note
-    paths = save(fig6(runs, curves, note=note), output / "fig6")
-    tables = {"results": results_table(runs, curves)}
-    if is_on_a_tire(runs):
+    title = f"{problem}: " if problem else ""
+    paths = save(fig6(runs, curves, note=title + note), output / "fig6")
+    of_paper = is_on_a_tire(runs)
+    tables = {"results": results_table(runs, curves, targets=None if of_paper else ())}
+    if of_paper:
         tables["claims"] = claims_table(runs, curves)
-    texts, table_paths = write_tables(comparison, tables, CAPTIONS, output)
-    print("\n".join(texts))
+    _, table_paths = write_tables(comparison, tables, CAPTIONS, output)
+    for name, table in tables.items():
+        shown = table[[column for column in table if not str(column).startswith(LEFT_OUT)]]
+        print(f"{CAPTIONS[name]} Runs: {comparison.note}.\n\n{table_text(shown)}\n")
     if advice := clock_of(runs).advice(" ".join(comparison.command)):
         print(advice, file=sys.stderr)
     for method in stuck(curves):

@@ -6,6 +6,8 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from experiments.app.build import Experiment
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
 from experiments.app.working import State
+from miho.analysis.text import cell, is_numeric
 from miho.analysis.variants import named_apart
 from miho.identification import Square, linear_optimum
 from miho.identification.line_wrapping import with_unit
@@ -91,6 +94,33 @@ def _print_errors(states: Sequence[State]) -> None:
 def _run_request(name: Identity) -> RunRequest:
     parts = parts_of(canonical(name.config).encode())
     return RunRequest(name.problem, name.optimizer, name.seed, parts, name.code, name.data)
+
+
+NARROWEST, WIDEST = 12, 28
+"""Widths of columns: numbers whose name is long, and long text [characters]."""
+
+
+def table_text(table: pd.DataFrame) -> str:
+    """A table for terminals: names and text wrapped inside their columns, numbers on the right."""
+    names = [str(name) for name in table.columns]
+    rows = [[cell(value) for value in row] for row in table.itertuples(index=False)]
+    right = [is_numeric(table[name]) for name in table.columns]
+    widths = []
+    for name, numbers, *cells in zip(names, right, *rows, strict=True):
+        longest = max(map(len, cells), default=0)
+        words = max(map(len, name.split()), default=0)
+        content = max(longest, min(len(name), NARROWEST)) if numbers else min(longest, WIDEST)
+        widths.append(max(words, content))
+    lines = []
+    for row in [names, *rows]:
+        wrapped = [wrap(text, width) for text, width in zip(row, widths, strict=True)]
+        for parts in zip_longest(*wrapped, fillvalue=""):
+            padded = (
+                text.rjust(width) if numbers else text.ljust(width)
+                for text, width, numbers in zip(parts, widths, right, strict=True)
+            )  # fmt: skip
+            lines.append("  ".join(padded).rstrip())
+    return "\n".join(lines)
 
 
 def result_text(experiment: Experiment, stored: StoredRun) -> str:

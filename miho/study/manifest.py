@@ -83,24 +83,26 @@ def other_settings(
             yield folder, list(_differing_keys(entry["config"], dict(identity.config)))
 
 
-def without_result(root: Path) -> tuple[list[Path], int]:
+def without_result(root: Path, problem: str | None = None) -> tuple[list[Path], int]:
     """Folders of a root's planned runs without a result, and the number of all planned runs.
 
-    Runs that were set aside do not count. A sweep in progress has runs without results.
+    With `problem` only its runs count, and runs that were set aside never do. A sweep in progress
+    has runs without results.
     """
     places: dict[Path, None] = {}
     for path in sorted((root / MANIFESTS).glob("*.json")):
         for entry in _read(path).values():
             place = Path(*entry["place"])
-            if not (root / SUPERSEDED / place).exists():
+            of_problem = problem in (None, place.parts[0])
+            if of_problem and not (root / SUPERSEDED / place).exists():
                 places[place] = None
     missing = [root / place for place in places if not (root / place / RESULT).is_file()]
     return missing, len(places)
 
 
-def missing_runs(root: Path) -> str | None:
+def missing_runs(root: Path, problem: str | None = None) -> str | None:
     """A message about runs of a root's sweeps without results; None if there are none."""
-    missing, count = without_result(root)
+    missing, count = without_result(root, problem)
     if not missing:
         return None
     lost = sum((folder / CURVE).is_file() for folder in missing)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from experiments import figures
@@ -15,6 +18,7 @@ from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.drawing import compared, stuck
 from experiments.app.execution import execution_of
+from experiments.app.run_text import table_text
 from experiments.app.schema import register
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store
@@ -63,6 +67,42 @@ def test_fig6_of_a_root_that_no_comparison_made(
     assert "random" not in (elsewhere / "results.csv").read_text()
     assert draw(monkeypatch, f"root={root}", "methods=random,gone") == 2
     assert "no runs of gone; expected paper or some of miho, random" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_each_problem_of_a_root_has_its_own_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [f"pacejka-tire_{tire}" for tire in ("lf", "rf")]
+    runs = [
+        run(tmp_path, f"optimizer={method}", f"dataset={name[8:]}")
+        for name in names
+        for method in ("random", "least_squares")
+    ]
+    lost = replace(runs[0], seed=1)
+    write_manifest(tmp_path, [], {str(number): r for number, r in enumerate([*runs, lost])})
+    for name, missing in zip(names, (True, False), strict=True):
+        assert draw(monkeypatch, f"root={tmp_path}", f"problem={name}") == 0
+        assert ("1 of 3 runs" in capsys.readouterr().err) == missing
+        assert (tmp_path / "figures" / name / "fig6.png").is_file()
+
+
+def test_a_table_in_a_terminal_wraps_names_and_text() -> None:
+    table = pd.DataFrame(
+        {
+            "method": ["miho", "an evolution strategy of the user"],
+            "evaluations to best + 1 %": [12345.6, math.inf],
+            "success": [0.5, 0],
+        }
+    )
+    assert table_text(table).splitlines() == [
+        "method                         evaluations  success",
+        "                               to best + 1",
+        "                                         %",
+        "miho                                12,346    0.500",
+        "an evolution strategy of the         never        0",
+        "user",
+    ]
 
 
 def test_a_method_that_stays_at_its_start_is_named() -> None:
