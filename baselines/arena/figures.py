@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from miho.analysis.compare.significance import ranks
 from miho.analysis.curves import log_grid, positions, step
 from miho.analysis.figures.house import (
     AXIS_LABELS,
+    NARROW,
     EndLabel,
     caption,
     draw_end_labels,
@@ -37,6 +40,8 @@ GAP_CEILING = 1e3
 """Limits of the relative gap that is drawn. Below them sums of the loss differ between methods;
 above them a curve has not begun to improve."""
 QUANTILES = (0.1, 0.5, 0.9)
+LOWER, LABEL = 2.4, 0.17
+"""Heights [inches] of a panel without labels of methods, and of a label."""
 
 
 def error_curves(
@@ -128,18 +133,17 @@ def ecdf_figure(
     """Share of all (problem, repetition, target) reached, over evaluations and over time.
 
     The frames have the columns optimizer, the axis and share (runtime distributions as in COCO).
-    The share of each method at the end of its evaluations is printed at the right. The axis of
+    The share of each method at the end of its evaluations is printed next to its curve. The axis of
     `over_time` is the axis of the clock, whose note says which runs are excluded.
     """
-    with new_figure(4.3) as figure:
-        left, right = figure.subplots(1, 2, sharey=True)
-        plot_shares(over_evaluations, "evaluations", left)
-        left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
-        plot_shares(over_time, clock.axis, right)
-        right.set_xlabel(time_label(clock))
+    with _stacked(over_evaluations) as (figure, above, below):
+        plot_shares(over_evaluations, "evaluations", above)
+        above.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
+        plot_shares(over_time, clock.axis, below)
+        below.set(xlabel=time_label(clock), ylabel="targets reached")
         explanation = "a target is one problem, repetition and distance to the optimum"
         caption(figure, explanation, clock.note if clock.axis == "seconds" else "", note)
-        label_shares(over_evaluations, "evaluations", right)
+        label_shares(over_evaluations, "evaluations", above)
     return figure
 
 
@@ -149,23 +153,31 @@ def profiles_figure(
     *,
     note: str = "",
 ) -> Figure:
-    """Data profile (More and Wild 2009) and performance profile (Dolan and More 2002).
+    """Performance profile (Dolan and More 2002) and data profile (More and Wild 2009).
 
     The frames have the columns optimizer, kappa or tau, and share. kappa counts evaluations per (d
-    + 1); tau is the ratio to the best method of each problem. The shares at the right end are
-    printed.
+    + 1); tau is the ratio to the best method of each problem. The shares at the end of the
+    performance profile are printed.
     """
-    with new_figure(4.3) as figure:
-        left, right = figure.subplots(1, 2, sharey=True)
-        plot_shares(data_profile, "kappa", left)
-        plot_shares(performance_profile, "tau", right)
-        left.set_title("data profile", loc="left")
-        left.set(xlabel="evaluations / (dimension + 1)", ylabel="share solved")
-        right.set_title("performance profile", loc="left")
-        right.set_xlabel("running time / best method's")
-        caption(figure, "left: share of runs, right: share of problems", note)
-        label_shares(performance_profile, "tau", right)
+    with _stacked(performance_profile) as (figure, above, below):
+        plot_shares(performance_profile, "tau", above)
+        plot_shares(data_profile, "kappa", below)
+        above.set_title("performance profile", loc="left")
+        above.set(xlabel="running time / best method's", ylabel="problems solved")
+        below.set_title("data profile", loc="left")
+        below.set(xlabel="evaluations / (dimension + 1)", ylabel="runs that succeed")
+        caption(figure, note)
+        label_shares(performance_profile, "tau", above)
     return figure
+
+
+@contextmanager
+def _stacked(frame: pd.DataFrame) -> Iterator[tuple[Figure, Axes, Axes]]:
+    """Two panels that a phone can show; the upper one has room for a label of each method."""
+    upper = max(LOWER, LABEL * frame["optimizer"].nunique())
+    with new_figure(upper + LOWER + 1.7, NARROW) as figure:
+        above, below = figure.subplots(2, 1, sharey=True, height_ratios=[upper, LOWER])
+        yield figure, above, below
 
 
 def plot_shares(frame: pd.DataFrame, x: str, ax: Axes) -> Axes:

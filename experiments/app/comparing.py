@@ -63,7 +63,7 @@ def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
 def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:
     """Note on the size of a comparison, for figures and tables."""
     parts = [cfg.comparison.note] if cfg.comparison.note else []
-    parts += [*size, f"{repetitions} repetitions"]
+    parts += [*size, f"{repetitions} repetition{'s' * (repetitions != 1)}"]
     if cfg.budget.seconds is not None:
         parts.append(f"at most {cfg.budget.seconds:g} s per run")
     if cfg.budget.evaluations is not None:

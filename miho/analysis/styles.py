@@ -152,8 +152,9 @@ def with_emphasis(
 ) -> dict[str, MethodStyle]:
     """`styles_of` with all methods outside of `highlight` muted and placed first.
 
-    Drawn in this order, the foreground is on top. By default the methods of MAIN that are present
-    are highlighted. Raises ValueError for a method in `highlight` that is not among `methods`.
+    Drawn in this order, the foreground is on top. By default the methods of MAIN and methods
+    without a fixed style, such as the user's, are highlighted. Raises ValueError for a method in
+    `highlight` that is not among `methods`.
     """
     styles = styles_of(methods)
     unknown = sorted(set(highlight or ()) - set(styles))
@@ -162,6 +163,8 @@ def with_emphasis(
             f"highlight names {', '.join(unknown)}, but there are no such runs; "
             f"expected some of {', '.join(styles)}"
         )
-    front = MAIN if highlight is None else highlight
-    back = {method: style.muted for method, style in styles.items() if method not in front}
-    return back | {method: style for method, style in styles.items() if method in front}
+    if highlight is None:
+        known = set(STYLES) - set(MAIN)
+        highlight = {method for method in styles if method.partition(" ")[0] not in known}
+    back = {method: style.muted for method, style in styles.items() if method not in highlight}
+    return back | {method: style for method, style in styles.items() if method in highlight}

@@ -42,6 +42,12 @@ def test_by_default_the_main_methods_stand_out() -> None:
     assert {method for method, style in styles.items() if style != style.muted} == set(MAIN)
 
 
+def test_a_method_of_the_user_stands_out() -> None:
+    styles = with_emphasis([*STYLES, "firefly", "tiktak screen=10"])
+    assert styles["firefly"] != styles["firefly"].muted
+    assert styles["tiktak screen=10"] == styles["tiktak screen=10"].muted
+
+
 def test_only_methods_with_runs_can_be_highlighted() -> None:
     with pytest.raises(ValueError, match="highlight names mihoo"):
         with_emphasis(["miho"], ["mihoo"])

@@ -144,5 +144,6 @@ def test_the_labels_of_twenty_two_methods_stay_apart_and_on_the_page() -> None:
         key=lambda box: box.y0,
     )
     assert len(boxes) == 22
+    assert figure.axes[0].bbox.y0 > figure.axes[1].bbox.y1, "a phone shows one panel at a time"
     assert all(below.y1 <= above.y0 + 1 for below, above in pairwise(boxes))
     assert max(box.x1 for box in boxes) <= figure.bbox.x1
