@@ -6,7 +6,6 @@ import contextlib
 import copy
 import math
 import signal
-import sys
 import threading
 import time
 import traceback
@@ -298,8 +297,9 @@ def raised_at(error: BaseException, optimizer: Optimizer) -> str:
     The last line of all may be deep in a library that the method calls.
     """
     lines = traceback.extract_tb(error.__traceback__)
-    file = getattr(sys.modules.get(type(optimizer).__module__), "__file__", None)
-    line = ([line for line in lines if line.filename == file] or lines)[-1]
+    codes = [getattr(member, "__code__", None) for member in vars(type(optimizer)).values()]
+    files = {code.co_filename for code in codes if code is not None}
+    line = ([line for line in lines if line.filename in files] or lines)[-1]
     return f"{Path(line.filename).name}:{line.lineno}"
 
 
