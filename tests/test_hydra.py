@@ -97,6 +97,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a dry run": (["-m", "seed=1,2", "sweep.dry_run=true"], 0, "2 runs: 2 to do"),
     "several values without -m": (["seed=1,2"], 2, r"seed=1,2.*--multirun"),
     "no values": (["-m", "seed=range(0)"], 2, "has no values"),
+    "a glob in a folder": (["-m", "optimizer=glob(r500/*)"], 2, "no options in folders of a group"),
     "an unknown experiment": (["+experiment="], 2, r"\S"),
     "an experiment twice": (["+experiment=compare"], 2, "write experiment=compare"),
     "a list of bounds": (["space.B=[0,5]"], 2, r"space.B.low=0 space.B.high=1"),
