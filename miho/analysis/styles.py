@@ -96,7 +96,7 @@ STYLES = {
 _SPARE = [
     (color, dashes)
     for dashes in (DASH_DOT, SHORT_DASHES, DASHED, DASH_DOT_DOT)
-    for color in (_PURPLE, ORANGE, GREEN)
+    for color in (GREEN, _PURPLE, ORANGE)
 ]
 
 
