@@ -34,7 +34,7 @@ from miho.analysis.tidy import comparison, require_columns
 from miho.analysis.timing import Clock
 from miho.quantities import Array
 
-COLUMNS = 4
+COLUMNS = 3
 GAP_FLOOR = 1e-6
 GAP_CEILING = 1e3
 """Limits of the relative gap that is drawn. Below them sums of the loss differ between methods;
@@ -65,7 +65,7 @@ def error_curves(
     grid = log_grid(curves, "evaluations", 200)
     columns = min(COLUMNS, len(problems))
     rows = -(-len(problems) // columns)
-    with new_figure(1.45 * rows + 1.1) as figure:
+    with new_figure(1.45 * rows + 1.7, NARROW) as figure:
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True))
         for ax, problem in zip(panels, problems, strict=False):
             of_problem = runs[runs["problem"] == problem]
@@ -238,7 +238,7 @@ def _legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
     handles = [Line2D([], [], label=style.name, **style.line) for style in front]
     if back:
         handles.append(Line2D([], [], label=f"{len(back)} others", **back[0].line))
-    figure.legend(handles=handles, loc="outside upper left", ncols=5, handlelength=2.6)
+    figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=2.6)
 
 
 def _powers_of_ten(axis: XAxis | YAxis) -> None:
