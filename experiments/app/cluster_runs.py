@@ -40,7 +40,7 @@ def cluster_runs(
     shared = settings.shared or on_this_machine(address)
     if own_code and not shared:
         raise ConfigError(
-            "sweep.workers: the model is a file of yours, which other machines may not have; put "
+            "sweep.workers: a file of yours is run, which other machines may not have; put "
             "it and root on a shared file system, and add sweep.shared=true"
         )
     with cluster(address) as client:

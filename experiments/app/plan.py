@@ -43,7 +43,7 @@ MODULES = ("experiments.app.runs", "scipy.special")
 class Request:
     """One requested run: its overrides, its configuration in JSON, and its identity.
 
-    `own_code`: the model is the user's code. `lost`: the reason why the run cannot start.
+    `own_code`: a file of the user is run. `lost`: the reason why the run cannot start.
     `experiment`: the objects of the run, if this process executes it.
     """
 

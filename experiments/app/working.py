@@ -69,7 +69,7 @@ def ended_state(ended: JobOutcome[Request, State]) -> State:
 
 
 def prepare(request: Request) -> None:
-    """In a worker: load objects that runs of a user's model share, before each run is forked."""
+    """In a worker: load objects that runs of a user's file share, before each run is forked."""
     if not request.own_code:
         return
     with single_thread():
