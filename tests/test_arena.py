@@ -15,11 +15,12 @@ from baselines.arena.results import PLAIN, pages, separation
 from experiments import compare as comparing
 from experiments.app.build import ConfigError, build, recorded_optimum
 from experiments.app.comparing import plan_arena
-from experiments.app.compose import CONF, composed
+from experiments.app.compose import composed
 from experiments.app.configured import as_configured
 from experiments.app.console import SOME_FAILED
 from experiments.app.drawing import draw_arena, read_comparison
 from experiments.app.execution import execution_of
+from experiments.app.options import source
 from experiments.app.runs import PlanOutcome
 from experiments.app.schema import register
 from experiments.app.working import State
@@ -103,7 +104,7 @@ def _model(cfg: Any) -> str:
 
 def test_problems_that_are_one_model_in_one_kind_of_box_are_one_family() -> None:
     names = composed(["experiment=arena"]).comparison.problems
-    files = {name: OmegaConf.load(CONF / "problem" / f"{name}.yaml") for name in names}
+    files = {name: OmegaConf.create(source("problem", name)) for name in names}
     alike = {name: cfg.problem.family for name, cfg in files.items() if "family" in cfg.problem}
     families = {alike.get(name, name) for name in names}
     assert len(names) >= 45

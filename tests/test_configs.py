@@ -1,5 +1,8 @@
 """Every YAML composes, and what it describes can be built and run."""
 
+import hashlib
+import json
+import math
 from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,14 +12,14 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from baselines.problems import published_names
+from baselines.problems import published_fit, published_names
+from baselines.problems.posed import posed_problem
 from experiments.app.build import ConfigError, build, build_optimizer, build_problem, plain
 from experiments.app.comparing import chosen_method
 from experiments.app.compose import composed
 from experiments.app.options import options_of
+from experiments.app.published import recorded, settings_of
 from experiments.app.schema import register
-from experiments.check import residual_problems
-from experiments.check.published_problems import BOXES, files, problems
 from miho.identification import linear_optimum
 from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize
@@ -37,7 +40,7 @@ def text(dataset: str) -> str:
 
 
 def options(group: str) -> list[str]:
-    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+    return [name for name in options_of(group) if "/" not in name]
 
 
 def slow_drives(names: list[str]) -> list[Any]:
@@ -184,31 +187,38 @@ def test_spaces(space: str) -> None:
     assert experiment.problem.space.names == tuple(experiment.problem.model.parameters)
 
 
-PUBLISHED = problems()
-SETS = {posed.name: posed for posed in residual_problems.problems()}
+SETS = [name for name in recorded() if name.startswith(("mw_", "cr_"))]
+PUBLISHED = {name: posed_problem(name) for name in recorded() if name not in SETS}
 QUICK = {"nist_nelson_log", "mw_bdqrtic_8"}
 """Published problems that stand for all, of which many would take minutes."""
 
 
-def test_published_problems_are_as_their_rule_says() -> None:
-    """Their files are written by it: `python -m experiments.check.published_problems`."""
-    for file, text in files().items():
-        assert file.read_text(encoding="utf-8") == text, file.name
+def test_published_problems_stay_as_they_are() -> None:
+    """Their rule gives the boxes of all stored runs; fourteen digits are the same everywhere."""
+    nodes = json.dumps([settings_of(name) for name in sorted(recorded())])
+    digest = hashlib.sha256(nodes.encode()).hexdigest()
+    assert digest == "fb64837beb9126c6e90bc8515161c5c40c42e7912356b36d4072438f8d0b4d87"
+
+
+def test_the_error_of_a_published_fit_is_its_published_sum_of_squares() -> None:
+    for name, posed in PUBLISHED.items():
+        error = math.sqrt(published_fit(posed.dataset.name).squares / len(posed.dataset))
+        assert recorded()[name][0] == float(f"{error:.14g}"), name
 
 
 def test_every_published_problem_is_posed_in_two_boxes() -> None:
-    boxes = Counter(fit.name for fit, _ in PUBLISHED.values())
+    boxes = Counter(posed.dataset.name for posed in PUBLISHED.values())
     assert boxes == dict.fromkeys(published_names(), 2)
-    for name, (fit, rule) in PUBLISHED.items():
-        ranges = [BOXES[rule][0](fit, k) for k in range(len(fit.optimum))]
-        inside = [r.low < v < r.high for r, v in zip(ranges, fit.optimum, strict=True)]
-        assert all(inside), name
+    for name, posed in PUBLISHED.items():
+        optimum = published_fit(posed.dataset.name).optimum
+        ranges = zip(posed.ranges.values(), optimum, strict=True)
+        assert all(low < value < high for (low, high, _), value in ranges), name
 
 
 @pytest.mark.parametrize(
     "problem",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in (PUBLISHED | SETS).keys() - QUICK))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in recorded().keys() - QUICK))
         for name in options("problem")
     ],
 )
@@ -256,7 +266,7 @@ def test_budgets(budget: str) -> None:
 def test_the_arena_is_everything_but_what_it_says() -> None:
     comparison = composed(["experiment=arena"]).comparison
     sets = composed(["experiment=arena_sets"]).comparison
-    assert list(sets.problems) == list(SETS)
+    assert list(sets.problems) == SETS
     assert sorted([*comparison.problems, *sets.problems]) == options("problem")
     assert set(options("optimizer")) - set(comparison.methods) == {
         "gbo_small", "gbo_large", "miho_gn_asynchronous"

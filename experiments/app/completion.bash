@@ -14,7 +14,8 @@ _miho() {
     group="${word%%=*}" value="${word#*=}"
     before="${value%"${value##*,}"}"  # of several values, as in optimizer=miho,pso_100
     COMPREPLY=($(compgen -P "$before" -W "$(for folder in "${folders[@]}"; do
-      (cd "$folder/$group" 2>/dev/null && find . -name '*.yaml' | sed 's/^..//; s/\.yaml$//')
+      (cd "$folder/$group" 2>/dev/null && { find . -name '*.yaml' | sed 's/^..//; s/\.yaml$//'
+        sed '1d; s/,.*//' *.csv 2>/dev/null; })
     done | sort -u)" -- "${value##*,}"))
   else
     COMPREPLY=($(compgen -S = -W "$(for folder in "${folders[@]}"; do

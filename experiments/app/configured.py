@@ -11,7 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app import schema
 from experiments.app.build import HELD, recorded_optimum
-from experiments.app.compose import CONF, composed
+from experiments.app.compose import composed
+from experiments.app.options import options_of
 from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
 
@@ -23,7 +24,7 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
     """Add the current `optimum` of conf/problem and the columns `family` and `cut` to `runs`.
 
     An optimum is not part of a run's identity, so a stored one may have been corrected since. Runs
-    with another model, dataset, space or loss than conf/problem, or without a file there, keep the
+    with another model, dataset, space or loss than conf/problem, or that it does not name, keep the
     stored optimum. If a problem has a resolution, smaller errors and optima are set to it. `cut` is
     true if a run used up its seconds before its evaluations and did not converge.
     """
@@ -32,8 +33,8 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
     for name, on_problem in runs.groupby("problem", sort=False):
         stored = read_run(Path(on_problem["folder"].iloc[0]))
         family = str(name)
-        if (CONF / "problem" / f"{name}.yaml").exists():
-            cfg = composed([f"problem={name}"])
+        if family in options_of("problem"):
+            cfg = composed([f"problem={family}"])
             family = cfg.problem.family or family
             optimum = recorded_optimum(cfg)
             if optimum is not None and _is_same(stored, cfg):

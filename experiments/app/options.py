@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from experiments.app.published import recorded, text_of
+
 CONF = Path(__file__).parents[2] / "conf"
 
 
@@ -18,19 +20,18 @@ def options_of(group: str, folders: Sequence[Path] = (CONF,)) -> list[str]:
     """Names of the options of a group; in subfolders the path, such as r500/miho."""
     if not group or not set(group.split("/")).isdisjoint({"", ".", ".."}):
         return []
-    return sorted(
-        {
-            str(path.relative_to(folder / group).with_suffix(""))
-            for folder in folders
-            for path in (folder / group).rglob("*.yaml")
-        }
-    )
+    names = {
+        str(path.relative_to(folder / group).with_suffix(""))
+        for folder in folders
+        for path in (folder / group).rglob("*.yaml")
+    }
+    return sorted(names.union(recorded() if group == "problem" and CONF in folders else ()))
 
 
 def source(group: str, option: str, folders: Sequence[Path] = (CONF,)) -> str:
-    """Text of the file of an option; empty if a package registers the option."""
+    """Text of an option's file or of its row in a table; empty if a package registers it."""
     for folder in folders:
         path = folder / group / f"{option}.yaml"
         if path.is_file():
             return path.read_text(encoding="utf-8").strip()
-    return ""
+    return text_of(option) if group == "problem" and option in recorded() else ""

@@ -48,9 +48,10 @@ from experiments.app.build import (
     build_problem,
     recorded_optimum,
 )
-from experiments.app.compose import CONF, composed
+from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.explain import parse_overrides, unknown_message
+from experiments.app.options import options_of
 from experiments.app.origin import our_code
 from experiments.app.schema import register
 from experiments.benchmarks.bars import machine
@@ -262,7 +263,7 @@ def problems(patterns: str | None) -> list[str]:
     """Names of conf/problem that match, in the given order; the arena's problems by default."""
     if patterns is None:
         return list(composed(["experiment=arena"]).comparison.problems)
-    available = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
+    available = options_of("problem")
     names: dict[str, None] = {}
     for pattern in patterns.split(","):
         matching = [name for name in available if fnmatchcase(name, pattern.strip())]

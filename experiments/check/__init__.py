@@ -8,9 +8,7 @@ next_measurement    advised rows narrow intervals as much as the best random row
 nist                correct digits on NIST's problems, compared with SciPy and lmfit
 optima              the best known optimum of each problem, computed again
 printed_equations   both field tests with the printed and with the corrected equations
-published_problems  writes conf/problem of the published problems by their rule
 readings            the paper's comparison under each reading of its unspecified settings
-residual_problems   writes conf/problem of two sets of least-squares problems
 stated_coverage     coverage with ties, priors, sigma and several datasets
 uneven_spread       coverage if the variance of the errors is not constant
 wide_boxes          effect of very wide bounds

@@ -26,8 +26,9 @@ import scipy.optimize
 from tqdm import tqdm
 
 from experiments.app.build import build
-from experiments.app.compose import CONF, composed
+from experiments.app.compose import composed
 from experiments.app.console import run_and_exit
+from experiments.app.options import options_of
 from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
 from miho.optim.seeds import stream
@@ -78,7 +79,7 @@ class Optimum:
 
     @property
     def evidence(self) -> str:
-        """One sentence for the problem's YAML."""
+        """One sentence for the problem's file or row."""
         if not self.starts:
             return "closed form (linear least squares)"
         alike = "end below the resolution" if self.error < self.resolution else "agree to 1e-9"
@@ -92,7 +93,7 @@ class Optimum:
 
 @cache
 def problem_of(name: str) -> CurveFit:
-    """Problem of a YAML file."""
+    """Problem of a name in conf/problem."""
     register()
     return build(composed([f"problem={name}"])).problem
 
@@ -224,7 +225,7 @@ def verdict(optimum: Optimum, recorded: float | None) -> str:
 
 def main() -> None:
     """Find the optima, print them and compare them with the recorded ones."""
-    names = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
+    names = options_of("problem")
     parser = argparse.ArgumentParser(description="Best known optima of the problems.")
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=", ".join(names))
     parser.add_argument("--starts", type=int, default=1000)
