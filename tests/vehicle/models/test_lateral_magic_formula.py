@@ -87,8 +87,9 @@ def test_some_coefficients_are_identified_and_the_others_are_the_bases() -> None
     theta = np.array([-53.0, 0.058, 1.54])
     assert list(model.parameters.items()) == [("PKY1", "1/rad"), ("PVY1", "-"), ("PCY1", "-")]
     assert model.linear == ("PVY1",)
-    inputs = conditions()
-    assert np.array_equal(model.predict(theta[None], *inputs)[0], force(LF, *inputs))
+    inputs = conditions()[:3]
+    nominal = np.full(inputs[0].size, LF.parameters.NOMPRES)
+    assert np.array_equal(model.predict(theta[None], *inputs)[0], force(LF, *inputs, nominal))
     check_model(model, theta[None], *inputs)
     assert model.with_coefficients(theta) == LF
 
