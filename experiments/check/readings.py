@@ -4,8 +4,8 @@ python -m experiments.check.readings [--repetitions 20] [--workers 2] [--output 
 
 The paper specifies neither the inertia of its swarms nor bounds, the initial distribution, the
 units of the rates of gradient descent, or the evaluation in its code. Each reading names options of
-conf/optimizer and conf/optimizer/readings for the five methods of the paper. Missing runs are made
-at full size: R = 10^4, eta = 5, 3000 rows. Seconds are modelled as evaluations times the cost of
+conf/optimizer, or `VARIANTS` of them, for the five methods of the paper. Missing runs are made at
+full size: R = 10^4, eta = 5, 3000 rows. Seconds are modelled as evaluations times the cost of
 one evaluation, which `experiments.benchmarks.interpreted` measures and writes to the same folder,
 so a busy machine does not change them. Writes the table of readings by claims, all claims with
 their intervals, the curves, and provenance.
@@ -19,6 +19,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -31,7 +32,8 @@ from baselines.arena.readings import (
 )
 from baselines.arena.readings_figure import readings_figure
 from experiments.app.build import ConfigError
-from experiments.app.compose import CONF, composed
+from experiments.app.comparing import chosen_method
+from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.plan import Request, requests, sweep_settings
 from experiments.app.runs import run
@@ -43,6 +45,50 @@ from miho.study import load_runs
 EXPERIMENT = "experiment=paper_readings"
 OUTPUT = Path("docs", "results", "paper_readings")
 COSTS = "interpreted.csv"
+
+CONSTRICTION = {
+    "c1": 1.496179765663133,
+    "c2": 1.496179765663133,
+    "inertia_start": 0.7298437881283576,
+    "inertia_end": 0.7298437881283576,
+}
+"""The constriction coefficient of phi = 4.1 (Clerc and Kennedy, 2002)."""
+NO_INERTIA = {"inertia_start": 1.0, "inertia_end": 1.0}
+"""A swarm without an inertia weight (Kennedy and Eberhart, 1995)."""
+NO_LIMIT, NO_BOUNDS = {"velocity_limit": None}, {"bounds": "none"}
+STARTS = {name: {"sampling": name} for name in ("uniform", "uniform_plus_noise")}
+"""Starts that are uniform in the box, or drawn as in the authors' public code."""
+SWARMS: dict[str, dict[str, Any]] = STARTS | {
+    "constriction": CONSTRICTION,
+    "constriction_no_limit": CONSTRICTION | NO_LIMIT,
+    "no_inertia": NO_INERTIA,
+    "no_inertia_no_bounds": NO_INERTIA | NO_BOUNDS,
+    "no_inertia_no_limit": NO_INERTIA | NO_LIMIT,
+    "no_inertia_unbounded": NO_INERTIA | NO_LIMIT | NO_BOUNDS,
+    "no_limit": NO_LIMIT,
+    "unbounded": NO_BOUNDS,
+}
+DESCENTS: dict[str, dict[str, Any]] = STARTS | {
+    "si": {},
+    "box": {"units": "box"},
+    "kn_deg": {"units": "kN_deg", "steps": 20_000},
+}
+"""Gradient descent on a loss in N^2, with parameters in SI units, in multiples of their range, or
+in kN, degrees and 1/degrees."""
+RATES = {"gbo_small": 5e-18, "gbo_large": 1e-16}
+"""Rates of gradient descent as for a loss in kN^2: a millionth of them per N^2."""
+STEPS = {"steps": 10_000}
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+    f"{method}_{suffix}": (method, settings)
+    for methods, variants in (
+        (("miho",), STARTS | {"unbounded": {"clip": "none"}}),
+        (("pso_100", "pso_500"), SWARMS),
+        (RATES, {name: STEPS | settings for name, settings in DESCENTS.items()}),
+    )
+    for method in methods
+    for suffix, settings in variants.items()
+} | {f"{name}_kn2": (name, STEPS | {"learning_rate": rate}) for name, rate in RATES.items()}
+"""Methods of conf/optimizer with other settings, by name."""
 
 
 def reading(words: str, *, miho: str = "miho", swarm: str = "", descent: str = "si") -> Reading:
@@ -90,8 +136,9 @@ def plan(repetitions: int, overrides: Sequence[str] = ()) -> Iterator[Request]:
     """Runs of all readings, method by method."""
     names = dict.fromkeys(name for each in READINGS for name in each.methods.values())
     for name in names:
-        folder = "readings/" * (CONF / "optimizer" / "readings" / f"{name}.yaml").exists()
-        words = [EXPERIMENT, f"optimizer={folder}{name}", *overrides]
+        option, settings = VARIANTS.get(name, (name, {}))
+        replaced = [f"++{text}" for text in chosen_method(option, settings)[1:]]
+        words = [EXPERIMENT, f"optimizer={option}", *replaced, f"method={name}", *overrides]
         yield from requests(composed(words), " ".join(words), range(repetitions))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from experiments.check.readings import VARIANTS
 from miho import Budget, minimize
 from miho.methods.pso import PSO, PSOState
 from miho.optim import Outcome
@@ -31,7 +32,7 @@ def constriction() -> PSO:
 @pytest.mark.parametrize("end", ["constriction", "constriction_no_limit"])
 def test_the_paper_s_swarms_with_constriction_have_its_coefficients(n: int, end: str) -> None:
     own = {key: value for key, value in settings_of(f"pso_{n}").items() if key == "particles"}
-    swarm = PSO(**(own | settings_of(f"readings/pso_{n}_{end}")))
+    swarm = PSO(**(own | VARIANTS[f"pso_{n}_{end}"][1]))
     expected = constriction()
     assert swarm.particles == n
     assert (swarm.c1, swarm.c2) == (expected.c1, expected.c2)

@@ -12,7 +12,6 @@ from experiments.benchmarks import interpreted
 from experiments.check import readings
 from miho.identification import CurveFit
 
-OPTIONS = CONF / "optimizer" / "readings"
 STEPS = 3
 
 
@@ -24,10 +23,18 @@ def tire() -> CurveFit:
 
 def test_every_option_is_read_and_every_reading_has_its_options() -> None:
     named = {name for each in readings.READINGS for name in each.methods.values()}
-    files = {path.stem for path in OPTIONS.glob("*.yaml")}
-    assert files <= named
-    assert {p.stem for p in (CONF / "optimizer").glob("*.yaml")} >= named - files
+    variants = readings.VARIANTS.keys()
+    assert variants <= named
+    assert {p.stem for p in (CONF / "optimizer").glob("*.yaml")} >= named - variants
     assert len({each.words for each in readings.READINGS}) == len(readings.READINGS)
+
+
+def test_every_variant_is_its_method_with_other_settings() -> None:
+    register()
+    for request in readings.plan(1):
+        name, identity = request.identity.optimizer, request.identity
+        _, settings = readings.VARIANTS.get(name, (name, {}))
+        assert settings.items() <= identity.config["optimizer"].items()
 
 
 @pytest.mark.slow
