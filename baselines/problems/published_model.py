@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from baselines.problems import kinetics, mgh, nist
 from baselines.problems.records import Form
-from miho.compiled.kernel import Formula
-from miho.models.expression import Expression
+from miho.models.symbolic import Symbol, trace
+from miho.models.traced import TracedExpression
 
 FORMS: Mapping[str, Form] = {**nist.FORMS, **mgh.FORMS, **kinetics.FORMS}
 
 
 @dataclass(frozen=True)
-class PublishedModel(Expression):
+class PublishedModel(TracedExpression):
     """A formula of the literature, with the numbers of its publication and without units.
 
     Parameters are b1, b2, ...; the input is x, or x1, x2, ... if there are several. If a formula
@@ -47,7 +48,7 @@ class PublishedModel(Expression):
 
     @property
     def form(self) -> Form:
-        """The formula with its derivatives and linear parameters."""
+        """The formula."""
         return FORMS[self.name]
 
     @property
@@ -64,17 +65,12 @@ class PublishedModel(Expression):
     @property
     def linear(self) -> tuple[str, ...]:
         """The parameters in which the output is jointly linear."""
-        return tuple(f"b{number}" for number in self.form.linear)
+        return self.jointly_linear
 
-    @property
-    def value(self) -> Formula:
-        """The output."""
-        return self.form.value
-
-    @property
-    def derivatives(self) -> Formula:
-        """Derivatives of the output with respect to the parameters."""
-        return self.form.derivatives
+    @cached_property
+    def graph(self) -> Symbol:
+        """Graph of the output."""
+        return trace(self.form.value, self.columns, self.arguments)
 
 
 def _numbered(letter: str, count: int) -> tuple[str, ...]:

@@ -22,15 +22,10 @@ Residuals = Callable[[Values, int], Values]
 
 @dataclass(frozen=True)
 class Form:
-    """A formula of `inputs` columns and `parameters` numbers, with derivatives by the parameters.
-
-    `linear` has the numbers, from 1, of parameters in which the output is jointly linear.
-    """
+    """A formula of `inputs` columns and `parameters` numbers."""
 
     value: Formula
-    derivatives: Formula
     parameters: int
-    linear: tuple[int, ...] = ()
     inputs: int = 1
 
 
