@@ -18,19 +18,14 @@ equations give its moments to 1e-9 of the largest (tests/vehicle/models/test_mag
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from miho.quantities import Array
 from miho.vehicle.models.magic_formula_parameters import MagicFormulaParameters
-
-if TYPE_CHECKING:
-    from miho.optim import Space
-    from miho.vehicle.models.tire_formula import TireFormula
 
 
 class TireForces(NamedTuple):
@@ -174,19 +169,11 @@ class MagicFormula:
         c = self.conditions(*inputs, alpha_star=alpha_star)
         return TireForces(*map(np.asarray, self.forces_at(c)))
 
-    def model_for(
-        self,
-        x: Any,
-        y: Any,
-        space: Space | Mapping[str, Any] | Collection[str],
-        start: Mapping[str, float] | None,
-        fixed: Mapping[str, float],
-        tied: Mapping[str, str],
-    ) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
-        """Return the model of a force, with bounds and start, from the arguments of `miho.fit`."""
+    def model_for(self, *arguments: Any) -> Any:
+        """Return the model of a force; see `miho.fitting.protocols.Template`."""
         from miho.vehicle.models.tire_formula import tire_model
 
-        return tire_model(self, x, y, space, start, fixed, tied)
+        return tire_model(self, *arguments)
 
     def forces_at(self, c: Conditions) -> TireForces:
         """Return the forces at conditions, which may be symbols (`miho.models.symbolic`)."""
