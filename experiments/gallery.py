@@ -1,4 +1,4 @@
-"""Run the examples of the manual's gallery and write their pictures, results and pages.
+"""Run the code on the pages of the manual's gallery, and write their pictures and results.
 
 python -m experiments.gallery              # all of them, some 20 CPU seconds
 python -m experiments.gallery tire prior   # only these
@@ -19,7 +19,7 @@ from PIL import Image
 
 from experiments.app.arguments import chosen_names
 from experiments.app.gallery_fmu import build_fmu, missing_for_fmu
-from experiments.app.gallery_pages import FOLDER, NAMES, example_page, index_page, read_example
+from experiments.app.gallery_pages import FOLDER, NAMES, index_page, read_example
 
 STYLE = FOLDER / "gallery.mplstyle"
 COLORS = 128
@@ -36,24 +36,26 @@ def run_example(name: str, folder: Path) -> str:
         contextlib.chdir(folder),
         contextlib.redirect_stdout(printed),
     ):
-        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+        script = Path(f"{name}.py")
+        script.write_text(read_example(name).code, encoding="utf-8")
+        runpy.run_path(str(script), run_name="__main__")
     plt.close("all")
     return "\n".join(line.rstrip() for line in printed.getvalue().strip("\n").splitlines())
 
 
 def write_example(name: str) -> None:
-    """Run an example and store its picture and its page."""
+    """Run an example and store its picture and its result."""
     with tempfile.TemporaryDirectory() as folder:
         printed = run_example(name, Path(folder))
         with Image.open(Path(folder, f"{name}.png")) as picture:
             small = picture.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)
             small.save(FOLDER / f"{name}.png", optimize=True)
-    page = example_page(read_example(name), printed)
+    page = read_example(name)._replace(printed=printed).page
     (FOLDER / f"{name}.md").write_text(page, encoding="utf-8")
 
 
 def main() -> None:
-    """Parse the arguments, run the named examples, or all, and write their pages and the index."""
+    """Run the named examples, or all, and write their results and the index."""
     for name in chosen_names(__doc__, NAMES):
         if name == "fmu" and (reason := missing_for_fmu()):
             print(f"fmu: left out: {reason}", file=sys.stderr)

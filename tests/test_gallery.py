@@ -1,16 +1,20 @@
-"""The gallery's pages show the code and the results of its examples."""
+"""The gallery's pages hold the code and the results of its examples."""
 
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from experiments.app.gallery_fmu import missing_for_fmu
-from experiments.app.gallery_pages import FOLDER, NAMES, example_page, index_page, read_example
+from experiments.app.gallery_pages import FOLDER, NAMES, index_page, read_example
 from experiments.gallery import run_example
 from tests.printed import check_printed
 
+ROOT = Path(__file__).parents[1]
 LARGEST = 40_000
 """Bytes of a picture."""
 
@@ -19,20 +23,33 @@ def stored_page(name: str) -> str:
     return (FOLDER / f"{name}.md").read_text(encoding="utf-8")
 
 
-def stored_text(name: str) -> str:
-    """The printed result that the page shows."""
-    return re.findall(r"```text\n(.*?)\n```\n", stored_page(name), re.DOTALL)[-1]
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_a_page_shows_the_present_example(name: str) -> None:
-    """`python -m experiments.gallery NAME` writes the page again."""
+def test_a_page_has_all_parts(name: str) -> None:
     example = read_example(name)
     compile(example.code, f"{name}.py", "exec")
     assert example.question.endswith("?")
     assert "simulated" in example.text
-    assert len((FOLDER / f"{name}.py").read_text(encoding="utf-8").splitlines()) <= 50
-    assert stored_page(name) == example_page(example, stored_text(name))
+    assert len(example.code.splitlines()) <= 45
+    assert stored_page(name) == example.page
+
+
+@pytest.mark.parametrize("command", [["check"], ["format", "--check"]], ids=" ".join)
+def test_the_code_of_the_pages_is_formatted_and_has_no_fault(
+    command: list[str], tmp_path: Path
+) -> None:
+    """By the settings of the project, which sort the imports of `miho` last."""
+    pytest.importorskip("ruff")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    folder = tmp_path / "docs" / "gallery"
+    folder.mkdir(parents=True)
+    (tmp_path / "miho").symlink_to(ROOT / "miho")
+    for name in NAMES:
+        (folder / f"{name}.py").write_text(read_example(name).code + "\n", encoding="utf-8")
+    ended = subprocess.run(
+        [sys.executable, "-m", "ruff", *command, "--no-cache", str(folder)],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert not ended.returncode, ended.stdout
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -55,11 +72,11 @@ def test_links_of_a_page_exist(name: str) -> None:
 
 def test_the_index_shows_every_example() -> None:
     assert stored_page("index") == index_page()
-    for suffix in ("py", "md", "png"):
+    for suffix in ("md", "png"):
         assert sorted(path.stem for path in FOLDER.glob(f"*.{suffix}") if path.stem != "index") == (
             sorted(NAMES)
         )
-    menu = (FOLDER.parents[1] / "mkdocs.yml").read_text(encoding="utf-8")
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     assert re.findall(r"- (?:.*: )?gallery/(\w+)\.md$", menu, re.MULTILINE) == ["index", *NAMES]
 
 
@@ -70,4 +87,4 @@ def test_an_example_prints_the_stored_result(name: str, tmp_path: Path) -> None:
         pytest.skip(reason)
     printed = run_example(name, tmp_path)
     assert (tmp_path / f"{name}.png").is_file()
-    check_printed(printed, stored_text(name))
+    check_printed(printed, read_example(name).printed)

@@ -1,8 +1,8 @@
-"""The pages of the manual's gallery: one for each example, and an index of the pictures."""
+"""The pages of the manual's gallery: one for each example, with its code, and an index."""
 
 from __future__ import annotations
 
-import ast
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,52 +22,53 @@ SECTIONS = {
     "Many fits, many methods": ("many_fits", "compare_methods"),
 }  # fmt: skip
 """The names of the examples in their order on the index page."""
-TITLES = {"fmu": "FMU"}
-"""The titles of pages that are not their names."""
+PAGE = re.compile(
+    r"# (?P<title>.+?)\n\n!\[(?P<question>.+?)\].*?\*\*(?P=question)\*\* (?P<text>.+?)\n\n"
+    r"```python\n(?P<code>.+?)\n```\n\n.+?\n\n```text\n(?P<printed>.*?)\n```\n",
+    re.DOTALL,
+)
+"""The page of an example."""
 NAMES = [name for names in SECTIONS.values() for name in names]
 
 
 class Example(NamedTuple):
-    """An example: its name, the question, further paragraphs of its docstring, and its code."""
+    """An example: its title, the question, the text about it, its code, and the printed result."""
 
     name: str
+    title: str
     question: str
     text: str
     code: str
+    printed: str
 
     @property
-    def title(self) -> str:
-        """The title of its page."""
-        return TITLES.get(self.name, self.name.replace("_", " ").capitalize())
+    def page(self) -> str:
+        """Its page, docs/gallery/NAME.md."""
+        return f"""# {self.title}
 
+![{self.question}]({self.name}.png)
 
-def read_example(name: str) -> Example:
-    """Read docs/gallery/NAME.py and separate its docstring from its code."""
-    source = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
-    tree = ast.parse(source)
-    question, _, text = (ast.get_docstring(tree) or "").partition("\n\n")
-    code = "\n".join(source.splitlines()[tree.body[0].end_lineno :])
-    return Example(name, question, text, code.strip())
-
-
-def example_page(example: Example, printed: str) -> str:
-    """The page of an example: picture, question, code and printed result."""
-    return f"""# {example.title}
-
-![{example.question}]({example.name}.png)
-
-**{example.question}** {example.text}
+**{self.question}** {self.text}
 
 ```python
-{example.code}
+{self.code}
 ```
 
 It prints:
 
 ```text
-{printed}
+{self.printed}
 ```
 """
+
+
+def read_example(name: str) -> Example:
+    """Read an example from its page."""
+    page = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
+    parts = PAGE.fullmatch(page)
+    if parts is None:
+        raise ValueError(f"{name}.md: expected title, picture, question, code and printed result")
+    return Example(name, **parts.groupdict())
 
 
 def index_page() -> str:
@@ -77,7 +78,7 @@ def index_page() -> str:
         "",
         "Each picture links to its example, a script of at most 50 lines to copy and run. All data",
         "are simulated, with a seed. `python -m experiments.gallery` runs the examples and writes",
-        "these pages.",
+        "their pictures and results.",
     ]
     for section, names in SECTIONS.items():
         lines += ["", f"## {section}", "", "| " * COLUMNS + "|", "| --- " * COLUMNS + "|"]
