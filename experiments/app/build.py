@@ -198,11 +198,10 @@ def build_problem(
     space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
     rho = instantiate(part_of(setting, "loss"), "loss", Loss)
     settings = part_of(setting, "problem")
-    switches = {"threads": settings["threads"], "expensive": expensive}
     try:
         constraints = settings["constraints"] or ()
         return problem_of(
-            space, rho=rho, label=settings["name"], constraints=constraints, **switches
+            space, rho=rho, label=settings["name"], constraints=constraints, expensive=expensive
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None

@@ -65,10 +65,8 @@ class ProblemConfig:
     published formula. Their results are not independent, so ranks and tests are also shown over
     families. `optimum` is the smallest known root of the loss in the space, in the unit of the
     output, and `evidence` explains it. If the data have no errors, errors below `resolution` are
-    rounding and count as equal to it in an arena. `threads` is the setting of
-    `miho.CurveFit` that speeds up losses; methods that use residuals (`miho_gn`, least squares) do
-    not need it. `sigma` is the standard deviation of the errors, a number or a column of the
-    dataset; with `sigma_known=false` it is known only up to a factor.
+    rounding and count as equal to it in an arena. `sigma` is the standard deviation of the errors,
+    a number or a column of the dataset; with `sigma_known=false` it is known only up to a factor.
 
     `parts` are several datasets or outputs that are identified at once. They share the parameters
     of equal names, except the parameters in `local`, which become NAME_PART in each part.
@@ -80,7 +78,6 @@ class ProblemConfig:
     optimum: float | None = None
     resolution: float | None = None
     evidence: str = ""
-    threads: int = 1
     sigma: Any = None
     sigma_known: bool = True
     parts: dict[str, PartConfig] = field(default_factory=dict)
@@ -274,6 +271,7 @@ RENAMED = {
     "sweep.processes": "is now sweep.workers",
     "comparison.processes": "is now sweep.workers",
     "problem.compressed": "was removed, because losses are summed over all rows; leave it out",
+    "problem.threads": "was removed; a loss has one thread, and sweep.workers makes several runs",
 }
 """Messages on settings, options and classes that were renamed or removed, by former name."""
 

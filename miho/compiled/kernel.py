@@ -142,8 +142,6 @@ def taped_loss(
     X: Array,
     y: Array,
     order: NDArray[np.intp] | Callable[[], NDArray[np.intp]],
-    *,
-    threads: int = 1,
 ) -> TapedLoss | None:
     """Mean square of a model minus data on the machine, None if it cannot run the model.
 
@@ -155,4 +153,4 @@ def taped_loss(
         return None
     from miho.compiled.taped import TapedLoss
 
-    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order, threads)
+    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,6 @@ from miho.quantities import Array
 FIRST_BLOCK = 64
 """Rows before the first test whether a candidate is worse than its parent; each next block is twice
 as long."""
-SHARE = 50_000
-"""Model values of a batch that justify another thread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +24,7 @@ class TapedLoss:
 
     X (p, N) has the input columns, y (N,) the output. `order` (N,), or a function that returns it,
     is the order from which a number of first rows is taken. A mean square is summed in blocks and
-    has the same bits alone, in a batch, and on any number of `threads`.
+    has the same bits alone and in a batch.
     """
 
     value: Tape
@@ -35,24 +32,12 @@ class TapedLoss:
     X: Array
     y: Array
     order: NDArray[np.intp] | Callable[[], NDArray[np.intp]]
-    threads: int = 1
     _parts: dict[int, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Mean squares (n,) of parameter rows (n, d), over all or the first rows of the order."""
         X, y = self.ordered
-        y = y[:rows]
-        parts = min(self.threads, len(thetas), len(thetas) * y.size // SHARE)
-        if parts <= 1:
-            return self.value.mean_squares(thetas, X, y, FIRST_BLOCK)
-
-        def part(rows: slice) -> Array:
-            return self.value.mean_squares(thetas[rows], X, y, FIRST_BLOCK)
-
-        from miho.compiled.threads import threads_of
-
-        shares = equal_parts(len(thetas), parts)
-        return np.concatenate(list(threads_of(self.threads).map(part, shares)))
+        return self.value.mean_squares(thetas, X, y[:rows], FIRST_BLOCK)
 
     def residuals(self, thetas: Array, rows: int | None = None) -> Array:
         """Model minus data (n, N), or over the first rows of the order (n, rows)."""
@@ -70,7 +55,7 @@ class TapedLoss:
         """Mutation steps on the loss."""
         from miho.compiled.climb import climb_on
 
-        return climb_on(self.value, *self.ordered, self.threads)
+        return climb_on(self.value, *self.ordered)
 
     @cached_property
     def rows(self) -> Rows:
@@ -99,8 +84,3 @@ class TapedLoss:
             X, y = self.ordered
             self._parts[rows] = np.ascontiguousarray(X[:, :rows]), y[:rows]
         return self._parts[rows]
-
-
-def equal_parts(n: int, count: int) -> list[slice]:
-    """Rows 0 to n in `count` parts, whose sizes differ by at most one row."""
-    return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]

@@ -72,8 +72,6 @@ class CurveFit(Remade, LeastSquaresProblem):
         Loss of one residual: its square (Eq. 5), or a robust loss.
     label : str, optional
         Name of the problem. The same data in two spaces are two problems and need two labels.
-    threads : int, optional
-        Threads for batches of the square loss of a model that is an `Expression`.
     compiled : bool, optional
         Whether the virtual machine of `miho.core` searches with models that are expressions. Other
         models, and all models if the machine was not built, are evaluated with NumPy.
@@ -114,7 +112,6 @@ class CurveFit(Remade, LeastSquaresProblem):
     space: Space
     rho: Loss = field(default_factory=Square)
     label: str | None = None
-    threads: int = 1
     compiled: bool = True
     sigma: str | float | None = None
     sigma_known: bool = True
@@ -251,7 +248,6 @@ class CurveFit(Remade, LeastSquaresProblem):
             order=lambda: self._order,
             trials=lambda: self.space.decode(self.space.initial(TRIALS)),
             name=self.model.name or type(self.model).__name__,
-            threads=self.threads,
             compiled=self.compiled,
         )
 

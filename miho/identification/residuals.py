@@ -55,7 +55,6 @@ class Residuals:
     order: Callable[[], NDArray[np.intp]]
     trials: Callable[[], Array]
     name: str
-    threads: int
     compiled: bool
 
     @property
@@ -69,7 +68,7 @@ class Residuals:
         if not isinstance(self.model, Expression):
             return None
         columns = np.array(self.columns)
-        return taped_loss(self.model, columns, self.target, self.order, threads=self.threads)
+        return taped_loss(self.model, columns, self.target, self.order)
 
     @cached_property
     def _traced(self) -> TapedLoss | None:
@@ -98,7 +97,7 @@ class Residuals:
             return self._taped_errors
         model, columns, target = self._formula
         order = self.order if self.prior is None else lambda: np.arange(target.size)
-        return taped_loss(model, np.array(columns), target, order, threads=self.threads)
+        return taped_loss(model, np.array(columns), target, order)
 
     @cached_property
     def kernel(self) -> FitKernel | None:

@@ -259,17 +259,6 @@ def test_early_stopping_changes_no_decision(seed: int, rows: int, size: float) -
 FITS = {rows: torque(rows) for rows in (1, 63, 64, 65, 200, 1500)}
 
 
-@pytest.mark.parametrize("rows", [150, 1500])
-def test_threads_change_nothing(rows: int) -> None:
-    """Two and three threads against one, over rungs of many rows and of fewer than threads."""
-    runs = [
-        minimize(MIHO(R=300, eta=3), Watched(replace(torque(rows), threads=threads)), seed=3)
-        for threads in (1, 2, 3)
-    ]
-    same(runs[1], runs[0])
-    same(runs[2], runs[0])
-
-
 def test_an_equal_loss_does_not_replace_its_parent(fit: TapedLoss) -> None:
     P = SPACE.initial(3)
     for early_stopping in (False, True):
