@@ -14,7 +14,7 @@ from experiments.app.build import ConfigError, build, plain
 from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from miho.identification import CurveFit
 from miho.identification.parameters_file import identified_at
 from miho.models import read_parameters
@@ -23,7 +23,6 @@ from miho.quantities import Array
 from miho.study import write_text
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.assembly.bench import TIRES, assembled
-from miho.vehicle.driving.assembly.engine import DATASETS, IdentifiedEngine, engine_of
 from miho.vehicle.driving.embedded import embedded_engine, embedded_tires
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.vehicle import Vehicle
@@ -105,17 +104,3 @@ def part_setting(cfg: DictConfig, part: str) -> Mapping[str, Any]:
     budget = {**drive["budget"], "target": None}
     shared = {key: drive[key] for key in ("optimizer", "method", "seed", "root")}
     return {**plain(composed([*PARTS[part]])), **shared, "budget": budget}
-
-
-def identified_engine(root: Path) -> IdentifiedEngine:
-    """Engine map with the curves at 5, 15 and 20 % throttle, identified by least squares.
-
-    Runs and parameters files go to `root`. Each curve is valid between the lowest and the highest
-    engine speed of its samples.
-    """
-    register()
-    cfg = composed(["optimizer=least_squares", f"root={root}"])
-    parts = identified_parts(cfg, tuple(DATASETS.values()))
-    problems = {throttle: parts[name][0] for throttle, name in DATASETS.items()}
-    thetas = {throttle: parts[name][1] for throttle, name in DATASETS.items()}
-    return engine_of(problems, thetas, cfg.seed)

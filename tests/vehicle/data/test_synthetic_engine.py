@@ -7,10 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.driving.car import identified_engine
+from experiments.app.compose import composed
+from experiments.app.schema import register
+from experiments.driving.car import identified_parts
 from miho.vehicle.data import dyno_test, engine_driving_log, load_engine_drive
 from miho.vehicle.data.synthetic_engine import CAR, DYNO_TRUSTED, HELD_THROTTLES, STEP, true_torque
-from miho.vehicle.driving.assembly.engine import truth_error
+from miho.vehicle.driving.assembly.engine import (
+    DATASETS,
+    IdentifiedEngine,
+    engine_of,
+    truth_error,
+)
 from miho.vehicle.models import TorqueCubic
 from miho.vehicle.models.engine import RPM
 
@@ -110,6 +117,16 @@ def test_the_drive_gives_back_the_curve_of_each_held_throttle(throttle: float) -
     valid = np.linspace(omega.min(), omega.max(), 500)
     miss = model.predict(theta[None], valid)[0] - true_torque(valid, throttle)
     assert np.sqrt(np.mean(miss**2)) < 5
+
+
+def identified_engine(root: Path) -> IdentifiedEngine:
+    """Engine map with the curves at 5, 15 and 20 % throttle, identified by least squares."""
+    register()
+    cfg = composed(["optimizer=least_squares", f"root={root}"])
+    parts = identified_parts(cfg, tuple(DATASETS.values()))
+    problems = {throttle: parts[name][0] for throttle, name in DATASETS.items()}
+    thetas = {throttle: parts[name][1] for throttle, name in DATASETS.items()}
+    return engine_of(problems, thetas, cfg.seed)
 
 
 def test_the_map_of_the_embedded_data_is_near_the_engine(tmp_path: Path) -> None:
