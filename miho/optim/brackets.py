@@ -152,19 +152,23 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
 
 
 def alike(space: Space) -> list[list[int]]:
-    """Positions of parameters with equal bounds, for bounds that several parameters have."""
-    groups: dict[tuple[float, float, str], list[int]] = {}
+    """Positions of parameters with equal units and bounds, such as the widths of two peaks.
+
+    Empty unless there are two such groups: a single value is as easily drawn anew as exchanged.
+    """
+    groups: dict[tuple[str, str, float, float], list[int]] = {}
     for k, p in enumerate(space.parameters):
-        groups.setdefault((p.low, p.high, p.scale), []).append(k)
-    return [group for group in groups.values() if len(group) > 1]
+        groups.setdefault((p.unit, p.scale, p.low, p.high), []).append(k)
+    several = [group for group in groups.values() if len(group) > 1]
+    return several if len(several) > 1 else []
 
 
 def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Array:
     """Starts (n, d) at the best minimum (d,), with values exchanged among parameters.
 
     A minimum may have the parameters of one peak at another one. Values are exchanged among
-    parameters with equal bounds, in every second start alike for position, height and width. The
-    first start has them in reverse order, as has each start that would be the minimum.
+    parameters that are `alike`, in every second start in the same way for position, height and
+    width. The first start has them in reverse order, as has each start that would be the minimum.
     """
     starts, keys = np.tile(best, (n, 1)), rng.random((n, best.size))
     for group in alike(space):

@@ -116,8 +116,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         found it.
     challenges : int, optional
         Brackets that start near the best optimum, at some of its coordinates, and must fail to find
-        a better one before the search ends. If parameters have equal bounds, one more bracket
-        starts with their values exchanged.
+        a better one before the search ends. If groups of parameters have equal bounds, one more
+        bracket starts with their values exchanged.
 
     Raises
     ------

@@ -1,5 +1,7 @@
 """Levels of rows, sizes and starts of brackets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -128,6 +130,9 @@ def test_values_are_exchanged_among_parameters_with_equal_bounds() -> None:
     highs = (1, 5, 100, 9, 5, 100, 9)
     space = Space(tuple(Parameter(k, "", 0, high) for k, high in zip(names, highs, strict=True)))
     assert alike(space) == [[1, 4], [2, 5], [3, 6]]
+    assert alike(Space(space.parameters[:5])) == [], "two heights only"
+    units = [replace(p, unit=p.name) for p in space.parameters]
+    assert alike(Space(tuple(units))) == []
     best = np.arange(7.0)
     for n in (1, 40):
         starts = exchanged(best, space, n, rng)
