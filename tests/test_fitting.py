@@ -310,6 +310,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "an attribute": ({"tied": {"a": "b.real"}}, "'b.real' is not allowed"),
     "no expression": ({"tied": {"a": "1 +"}}, "'1 \\+' is not an expression"),
     "a typing error": ({"tied": {"a": "2 * bb"}}, "unknown parameter bb; did you mean b"),
+    "a quantity without a place": (
+        {"tied": {"K": "a * b"}},
+        "tied: K is not a parameter; choose from a, b, or add {'K': {}} to the bounds, as a quant",
+    ),
     "never": (
         {"space": {"a": (50, 60), "b": (0, 5)}, "tied": {"a": "2 * b"}},
         "expected values from 50 to 60",

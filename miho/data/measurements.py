@@ -273,9 +273,10 @@ class Layout:
             return
         units = " or ".join(fitting).replace(" or ", ", ", max(len(fitting) - 2, 0))
         doubt = f"is the column in {units}?" if fitting else "is this cell right?"
+        unit_name = "" if unit.name == "-" else f" {unit.name}"
         raise fault(
             header, row if size == largest else None,
-            f"{label} |{key}| is {size:.4g} {unit.name}, expected {low:g} to {high:g}; {doubt} "
+            f"{label} |{key}| is {size:.4g}{unit_name}, expected {low:g} to {high:g}; {doubt} "
             f"Correct it, or set ranges={{{key}: [from, to]}}",
         )  # fmt: skip
 

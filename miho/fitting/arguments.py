@@ -283,7 +283,8 @@ def space_of(
     for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
         for name in part:
             if name not in names:
-                added = ", or add it to the bounds, as a quantity" * (label == "tied")
+                quantity = f", or add {{{name!r}: {{}}}} to the bounds, as a quantity"
+                added = quantity * (label == "tied")
                 raise ValueError(
                     f"{label}: {name} is not a parameter; choose from {', '.join(names)}{added}"
                 )

@@ -50,7 +50,9 @@ def numbers_of(name: str, column: Any) -> Array:
             column = np.where(np.ma.getmaskarray(column), np.nan, np.ma.getdata(column))
         return np.atleast_1d(np.asarray(column, dtype=float))
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"rows: column {name!r} is {column!r:.60}; expected numbers") from None
+        raise ValueError(
+            f"rows: column {name!r} is {column!r:.60}; expected numbers; times are in seconds"
+        ) from None
 
 
 def rows_of(rows: Rows, names: Sequence[str], first: float, period: float) -> Array:

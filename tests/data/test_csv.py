@@ -381,6 +381,9 @@ def test_signs_that_no_tire_has(tmp_path: Path) -> None:
     load(tmp_path, {"kappa": kappa, "Fx": driven.Fx, "Fz": Fz}, **driving)
     with pytest.raises(CSVError, match=":1:7: Mz falls with alpha, but it rises in ISO-W"):
         load(tmp_path, {"alpha": alpha, "Mz": -pure.Mz, "Fz": Fz}, **moments)
+    percent = {"kappa": 100 * kappa, "Fx": driven.Fx, "Fz": Fz}
+    with pytest.raises(CSVError, match=r"largest \|kappa\| is 20, expected 0.003 to 2; is .* in %"):
+        load(tmp_path, percent, **driving)
     with pytest.raises(CSVError, match=":1:7: Fx falls with kappa, but it rises in ISO-W"):
         load(tmp_path, {"kappa": -kappa, "Fx": driven.Fx, "Fz": Fz}, **driving)
     sliding = tire_columns(alpha=np.linspace(0.3, 0.9, 400), Fy=-4000 + np.linspace(0, 500, 400))
