@@ -56,20 +56,24 @@ def in_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def curve_band(
-    x: Array, ordered: bool, band: Callable[[Array], tuple[Array, Array]]
-) -> tuple[Array, Array, Array]:
-    """x, values and half widths of a curve over a single input (N,), from `band` at inputs.
+def curve_of(
+    inputs: Sequence[Column], ordered: bool, band: Callable[..., tuple[Array, Array]]
+) -> tuple[Column, tuple[Array, Array, Array]] | tuple[None, None]:
+    """The input over which a fit is a curve, with x, values and half widths of the curve.
 
-    The curve is evaluated on an even grid, or at the rows of data for a model that needs all rows
-    in order.
+    This is a single input, or the first input of a model that needs all rows in order, if it rises
+    from row to row, as the time of a simulation does. Otherwise both are None. `band` gives values
+    and half widths at inputs (N,); an ordered model needs them at its rows, others on an even grid.
     """
-    if not ordered:
-        grid = np.linspace(x.min(), x.max(), GRID)
-        return grid, *band(grid)
-    curve, half = band(x)
-    rising = np.argsort(x, kind="stable")
-    return x[rising], curve[rising], half[rising]
+    x, *others = inputs
+    if not ordered and not others:
+        grid = np.linspace(x.values.min(), x.values.max(), GRID)
+        return x, (grid, *band(grid))
+    if not ordered or (others and (np.diff(x.values) <= 0).any()):
+        return None, None
+    curve, half = band(*(column.values for column in inputs))
+    rising = np.argsort(x.values, kind="stable")
+    return x, (x.values[rising], curve[rising], half[rising])
 
 
 def fit_figure(
@@ -79,7 +83,7 @@ def fit_figure(
     band: tuple[Array, Array, Array] | None,
     parts: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> Figure:
-    """Data and fit: over the single input `x` with the curve's `band` (x, curve, half width).
+    """Data and fit: over an input `x` with the curve's `band` (x, curve, half width).
 
     Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal; rows
     of each of the `parts` (N,) of a joint problem have a separate color.

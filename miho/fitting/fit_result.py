@@ -360,7 +360,8 @@ class Fit(Remade):
     def plot(self, ax: Axes | None = None) -> Figure:
         """Plot the data and the curve with its interval.
 
-        With several inputs the figure shows measured over predicted values.
+        With several inputs the figure shows measured over predicted values, unless the model is a
+        simulation over time.
 
         Parameters
         ----------

@@ -83,20 +83,16 @@ def caveats(fit: Fit) -> list[str]:
 
 def figure_of(fit: Fit, ax: Axes | None = None) -> Figure:
     """The data and the curve with its interval, or measured over predicted values."""
-    from miho.figures.report import Column, curve_band, fit_figure, plot_fit
+    from miho.figures.report import Column, curve_of, fit_figure, plot_fit
     from miho.models.joint import rows_of_parts
 
     problem, dataset = fit.problem, fit.problem.dataset
-    inputs = problem.model.inputs
     parts = rows_of_parts(problem.model, problem.inputs)
     shown = "output" if parts else dataset.output
     measured = Column(shown, problem.unit, dataset[dataset.output])
     predicted = problem.model.predict(fit.theta[None], *problem.inputs)[0]
-    x = band = None
-    if len(inputs) == 1:
-        (name,) = inputs
-        x = Column(name, dataset.units[name], dataset[name])
-        band = curve_band(x.values, problem.model.ordered, fit._band)
+    inputs = [Column(name, dataset.units[name], dataset[name]) for name in problem.model.inputs]
+    x, band = curve_of(inputs, problem.model.ordered, fit._band)
     if ax is None:
         return fit_figure(measured, predicted, x, band, parts)
     plot_fit(measured, predicted, x, band, parts, ax)

@@ -399,6 +399,19 @@ def test_a_part_of_a_joint_fit_may_diverge_far_from_the_optimum() -> None:
         miho.fit(decay, t, x, {"k": (300, 400)})
 
 
+def test_a_simulation_with_inputs_is_drawn_over_time() -> None:
+    model = Trajectory(lambda x, u, *, k: k * (u - x), {"x": 0.0}, ["x"])
+    t = np.linspace(0, 5, 51)
+    u = np.sign(np.sin(t))
+    x = model.predict(np.array([[2.0]]), t, u)[0]
+    x += 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    fit = miho.fit(model, {"t": t, "u": u, "x": x}, "x", {"k": (0.1, 10)})
+    (ax,) = fit.plot().axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("t [s]", "x [-]")
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), t)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), fit.predict((t, u)).value)
+
+
 FILE = """
 def lag(x: "m", u: "V", *, k: "1/s", gain: "m/V" = 2.0):
     return k * (gain * u - x)

@@ -23,7 +23,7 @@ from miho.analysis.pages.run_tables import (
 from miho.analysis.text import csv_text, ends, significant
 from miho.figures.report import (
     Column,
-    curve_band,
+    curve_of,
     fit_figure,
     profile_figure,
     residual_figure,
@@ -131,12 +131,9 @@ def figures_of(report: Report) -> dict[str, bytes]:
         for name, values in dataset.columns.items()
         if name not in hidden
     ]
-    # With a single input the fit is a curve, with a band for its uncertainty.
-    x = band = None
-    if len(model.inputs) == 1:
-        (name,) = model.inputs
-        x = Column(name, model.inputs[name], dataset[name])
-        band = curve_band(x.values, model.ordered, report.band)
+    # Over a single input, or over time, the fit is a curve, with a band for its uncertainty.
+    inputs = [Column(name, unit, dataset[name]) for name, unit in model.inputs.items()]
+    x, band = curve_of(inputs, model.ordered, report.band)
     profiles = {
         name: (curve.values, curve.tau)
         for name, curve in zip(report.space.names, report.profiles, strict=True)
