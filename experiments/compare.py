@@ -28,13 +28,14 @@ from experiments.app.comparing import draw, note_on_size, planned_arena
 from experiments.app.console import OK, EndedError, command
 from experiments.app.launch import Sweep
 from experiments.app.plan import sweep_settings
+from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 
 SETTINGS = {
     "experiment": "the comparison; experiment --help lists them",
     "seed, optimizer": "values to sweep over: 'seed=range(5)' optimizer=miho,random",
     "comparison.repetitions, .methods": "repetitions and methods of an arena",
-    "sweep.workers": "number of simultaneous runs, or the address of a cluster",
+    "sweep.workers, .dry_run": "simultaneous runs, or a cluster; only list the runs",
     "comparison.target": "an arena's run ends at this multiple of the recorded optimum",
     "budget.evaluations, budget.seconds": "limits of a run; it ends at the first one reached",
     "root, fresh": "folder of results; fresh=true sets outdated runs aside",
@@ -47,6 +48,9 @@ def compare(cfg: DictConfig) -> None:
     settings = sweep_settings(cfg.sweep)
     plan, note = planned_arena(cfg, overrides)
     runs = run(plan, settings, fresh=cfg.fresh, overrides=overrides, tracking=cfg.tracking)
+    if settings.dry_run:
+        print_summary(runs.states)
+        return
     code = draw(cfg, plan, runs.states, overrides, note)
     runs.raise_if_stopped()
     if code != OK:

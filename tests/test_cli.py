@@ -593,6 +593,15 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
 
 
 @pytest.mark.slow
+def test_a_dry_run_of_an_arena_lists_its_runs(compare: Command) -> None:
+    problems = "comparison.problems=[tire_lf,torque_15]"
+    code, out, _ = compare("experiment=arena_small", problems, "sweep.dry_run=true")
+    assert code == 0
+    assert "to do: problem=tire_lf optimizer=miho seed=0" in out
+    assert out.splitlines()[-1] == "78 runs: 78 to do"
+
+
+@pytest.mark.slow
 def test_a_method_that_raises_leaves_the_others_and_the_comparison_undrawn(
     compare: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
