@@ -51,7 +51,8 @@ def plot_areas(areas: pd.DataFrame, ax: Axes) -> Axes:
             whiskerprops={"color": color, "linewidth": 0.9}, showcaps=False,
         )  # fmt: skip
         ax.scatter(values, np.full(values.size, row), s=5, color="#777777", linewidths=0, zorder=3)
-        ax.scatter(mean[method], row, s=26, marker="D", color=color, edgecolors="white", zorder=4)
+        ax.scatter(mean[method], row, s=26, marker="D", color=color, edgecolors="white", zorder=4,
+                   clip_on=False)  # fmt: skip
         ax.text(1.01, row, f"{mean[method]:.2f}", transform=ax.get_yaxis_transform(),
                 fontsize=8, va="center_baseline")  # fmt: skip
     ax.set(xlim=(0, 1), xlabel="area over the convergence curve (1: at the optimum at once)")
