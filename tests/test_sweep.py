@@ -60,18 +60,21 @@ def test_a_model_that_cannot_be_built_is_lost_alone_where_that_is_asked_for(tmp_
     assert re.search(reason, first.line)
 
 
-def test_runs_lost_for_one_reason_are_one_line(
+def test_seeds_lost_for_one_reason_are_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    runs = runs_of(tmp_path, "optimizer.batch=5", seeds=4)
+    runs += runs_of(tmp_path, "optimizer.batch=6", seeds=1)
     lost = [
         ended_state(JobOutcome(request, reason=reason))
-        for request, reason in zip(runs_of(tmp_path, seeds=4), "aaba", strict=True)
+        for request, reason in zip(runs, "aabaa", strict=True)
     ]
     assert print_summary(lost) == SOME_FAILED
     assert capsys.readouterr().out.splitlines() == [
-        "lost: seed=0 and 2 more with this reason: a",
-        "lost: seed=2: b",
-        "4 runs: 4 lost",
+        "lost: optimizer.batch=5 seed=0,1,3: a",
+        "lost: optimizer.batch=5 seed=2: b",
+        "lost: optimizer.batch=6 seed=0: a",
+        "5 runs: 5 lost",
     ]
 
 

@@ -52,14 +52,14 @@ def print_summary(states: Sequence[State]) -> int:
 
 
 def _print_reasons(bad: Sequence[State]) -> None:
-    """Print the runs without a result, those with the same reason in one line."""
-    runs: dict[str, list[str]] = {}
+    """Print the runs without a result, the seeds of one setting with one reason in one line."""
+    seeds: dict[tuple[str, str], list[str]] = {}
     for state in bad:
+        setting, _, seed = state.request.words.rpartition("seed=")
         why = "" if state.reason == state.status else f": {state.reason}"
-        runs.setdefault(why, []).append(f"{state.status}: {state.request.words}")
-    for why, names in runs.items():
-        more = f" and {len(names) - 1:,} more with this reason" * (len(names) > 1)
-        print(f"{names[0]}{more}{why}")
+        seeds.setdefault((f"{state.status}: {setting}", why), []).append(seed)
+    for (setting, why), numbers in seeds.items():
+        print(f"{setting}seed={','.join(numbers)}{why}")
 
 
 def _report_command(root: str, states: Sequence[State]) -> str:
