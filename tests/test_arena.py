@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from baselines.arena.results import PLAIN, pages, separation
 from experiments import compare as comparing
 from experiments.app.build import ConfigError, build, recorded_optimum
-from experiments.app.comparing import plan_arena
+from experiments.app.comparing import chosen_problems, plan_arena
 from experiments.app.compose import composed
 from experiments.app.configured import as_configured
 from experiments.app.console import SOME_FAILED
@@ -103,7 +103,7 @@ def _model(cfg: Any) -> str:
 
 
 def test_problems_that_are_one_model_in_one_kind_of_box_are_one_family() -> None:
-    names = composed(["experiment=arena"]).comparison.problems
+    names = chosen_problems(composed(["experiment=arena"]).comparison.problems)
     files = {name: OmegaConf.create(source("problem", name)) for name in names}
     alike = {name: cfg.problem.family for name, cfg in files.items() if "family" in cfg.problem}
     families = {alike.get(name, name) for name in names}

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from baselines.problems import published_fit, published_names
 from baselines.problems.posed import posed_problem
 from experiments.app.build import ConfigError, build, build_optimizer, build_problem, plain
-from experiments.app.comparing import chosen_method
+from experiments.app.comparing import chosen_method, chosen_problems
 from experiments.app.compose import composed
 from experiments.app.options import options_of
 from experiments.app.published import recorded, settings_of
@@ -265,19 +265,27 @@ def test_budgets(budget: str) -> None:
 
 def test_the_arena_is_everything_but_what_it_says() -> None:
     comparison = composed(["experiment=arena"]).comparison
-    sets = composed(["experiment=arena_sets"]).comparison
-    assert list(sets.problems) == SETS
-    assert sorted([*comparison.problems, *sets.problems]) == options("problem")
+    sets = chosen_problems(composed(["experiment=arena_sets"]).comparison.problems)
+    assert sets == SETS
+    assert sorted([*chosen_problems(comparison.problems), *sets]) == options("problem")
     assert set(options("optimizer")) - set(comparison.methods) == {
         "gbo_small", "gbo_large", "miho_gn_asynchronous"
     }  # fmt: skip
+
+
+def test_problems_are_chosen_by_name_or_pattern_and_once() -> None:
+    chosen = chosen_problems(["nist_misra1a_starts", "nist_misra1a_*", "tire_l*", "mine"])
+    assert chosen[:2] == ["nist_misra1a_starts", "nist_misra1a_log"]
+    assert chosen[2:] == ["tire_lf", "tire_lr", "mine"]
+    with pytest.raises(ConfigError, match=r"comparison\.problems=nits_\*: is unknown"):
+        chosen_problems(["nits_*"])
 
 
 @pytest.mark.parametrize("name", slow_drives(options("experiment")))
 def test_experiments(name: str) -> None:
     cfg = composed([f"experiment={name}"])
     assert cfg.root == f"runs/{name}"
-    assert set(cfg.comparison.problems) <= set(options("problem"))
+    assert set(chosen_problems(cfg.comparison.problems)) <= set(options("problem"))
     build(cfg)
     swept = OmegaConf.select(OmegaConf.load(CONF / "experiment" / f"{name}.yaml"), SWEPT) or ""
     assert set(filter(None, swept.split(","))) <= set(options_of("optimizer"))

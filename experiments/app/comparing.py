@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import filter as filter_names
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,11 @@ from experiments.app.build import (
 )
 from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED
+from experiments.app.explain import unknown_message
 from experiments.app.instantiation import MissingLibraryError
+from experiments.app.options import options_of
 from experiments.app.plan import Request, Trials, requests
+from experiments.app.published import recorded
 from experiments.app.working import State
 from miho.study import Status
 from miho.vehicle.data import DataUnavailableError
@@ -71,6 +75,21 @@ def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:
     return ", ".join(parts)
 
 
+def chosen_problems(patterns: Sequence[str]) -> list[str]:
+    """Problems by name or by a pattern such as `nist_*`, each once, in the order of the patterns.
+
+    Raises ConfigError for a pattern that matches no option of conf/problem.
+    """
+    known = [*recorded(), *options_of("problem")]
+    names: dict[str, None] = {}
+    for pattern in patterns:
+        matching = filter_names(known, pattern) if "*" in pattern else [pattern]
+        if not matching:
+            raise ConfigError(unknown_message(f"comparison.problems={pattern}", known))
+        names |= dict.fromkeys(matching)
+    return list(names)
+
+
 @dataclass(frozen=True)
 class ArenaPlan:
     """Runs of an arena, and the problems and methods that are left out, with the reason."""
@@ -105,7 +124,8 @@ def plan_arena(
     optimizers = []
     plan: list[Request] = []
     kinds = set()
-    count = len(comparison.methods) + len(comparison.problems)
+    problems = chosen_problems(comparison.problems)
+    count = len(comparison.methods) + len(problems)
     with (
         Trials(cfg.sweep.time_limit) as trials,
         tqdm(total=count, desc="planning", leave=False, disable=None) as bar,
@@ -121,7 +141,7 @@ def plan_arena(
                 continue
             optimizers.append({key: method[key] for key in ("optimizer", "method")})
         # Then each problem with all methods, interleaved by seed.
-        for name in comparison.problems:
+        for name in problems:
             bar.update()
             problem = composed([*overrides, f"problem={name}"])
             setting = dict(plain(problem))

@@ -90,7 +90,8 @@ class ComparisonConfig:
     """The methods and problems of a comparison, the number of repetitions, and the output.
 
     `methods` maps options of conf/optimizer to settings that replace their defaults. `problems`
-    names several options of conf/problem, for an arena; without it there is one problem. In an
+    names several options of conf/problem, also by patterns such as nist_*, for an arena; without it
+    there is one problem. In an
     arena, a run ends at `target` times the recorded optimum of its problem. `note` is text for the
     figures. Figures and tables are written to `output`.
     """

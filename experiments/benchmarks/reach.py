@@ -48,6 +48,7 @@ from experiments.app.build import (
     build_problem,
     recorded_optimum,
 )
+from experiments.app.comparing import chosen_problems
 from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.explain import parse_overrides, unknown_message
@@ -262,7 +263,7 @@ def variants(
 def problems(patterns: str | None) -> list[str]:
     """Names of conf/problem that match, in the given order; the arena's problems by default."""
     if patterns is None:
-        return list(composed(["experiment=arena"]).comparison.problems)
+        return chosen_problems(composed(["experiment=arena"]).comparison.problems)
     available = options_of("problem")
     names: dict[str, None] = {}
     for pattern in patterns.split(","):
