@@ -31,7 +31,7 @@ NEAR_PEAK = (0.125, 0.02)
 """Middle and amplitude [rad] of the slip angle while the grip falls suddenly."""
 KINDS = (
     "none", "jump", "ramp", "straight", "mixed", "outliers", "jump_outliers", "stiffness",
-    "nan", "dropout", "missing", "frozen", "delay", "time",
+    "nan", "dropout", "missing", "frozen", "delay", "glitch", "time",
 )  # fmt: skip
 SUDDEN = ("jump", "jump_outliers", "stiffness")
 
@@ -103,7 +103,8 @@ def tire(
         "mixed" in 60 of every 150 s. Faults: 2 % of the forces are off by 20 standard deviations
         ("outliers"); a tenth of the values is NaN ("nan"); from `at`, for 5 s, the force is NaN
         ("dropout"), there are no rows ("missing"), or the force repeats one value ("frozen");
-        the slip angle arrives one row late ("delay");
+        the slip angle arrives one row late ("delay"), or three rows in 2 s have a threefold one
+        ("glitch");
         the time jumps ahead by 10 s at `at`, and back by 5 s 5 s later ("time").
     seed : int
         Seed of the tire, the drive and the noise.
@@ -323,9 +324,11 @@ def spoil(
             columns[name][fault] = np.nan
         if kind == "frozen":
             columns[name][fault] = columns[name][fault][0]
-    if kind == "delay":
-        for name in [name for name in columns if name not in ("time", *outputs)]:
+    for name in [name for name in columns if name not in ("time", *outputs)]:
+        if kind == "delay":
             columns[name][1:] = columns[name][:-1].copy()
+        if kind == "glitch":
+            columns[name][(t >= at) & (np.arange(t.size) % 100 < 3)] *= 3
     if kind == "time":
         columns["time"] += 10.0 * (t >= at) - 5.0 * (t >= at + 5)
 

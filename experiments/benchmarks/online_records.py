@@ -22,6 +22,8 @@ STAYS = 50
 """Rows for which an estimate must stay within a tolerance."""
 LATEST_ALARM, SPAN_OF_ALARMS = 3.0, 10.0
 """A change is missed without an alarm in the first time; alarms in the second belong to it [s]."""
+DIGITS = 9
+"""Digits of a delay after the point: a difference of two times is rounded."""
 ORDINATE = 1.959964
 """Half width of a normal distribution's 95 % interval, in standard deviations."""
 
@@ -83,13 +85,13 @@ class Record:
         close = np.all(np.abs(self.theta / self.truth[-1] - 1) < tolerance, axis=1)
         runs = np.convolve(close, np.ones(STAYS), "full")[STAYS - 1 :] > STAYS - 0.5
         later = np.flatnonzero(runs & (self.clock >= self.start - 1e-9))
-        return float(self.clock[later[0]] - self.start) if later.size else np.inf
+        return round(float(self.clock[later[0]] - self.start), DIGITS) if later.size else np.inf
 
     def alarm_delay(self, detector: str) -> float:
         """Time from the change to the first alarm, infinite if it is missed."""
         after = self.alarms[detector] - self.start
         after = after[(after > -1e-9) & (after < LATEST_ALARM)]
-        return float(after[0]) if after.size else np.inf
+        return round(float(after[0]), DIGITS) if after.size else np.inf
 
     def alarm_count(self, detector: str) -> int:
         """Number of alarms after the change."""

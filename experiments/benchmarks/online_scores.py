@@ -232,8 +232,11 @@ def _in_corners(record: Record, scale: float = 1.0) -> float:
 
 
 def _on_straight(record: Record) -> tuple[float, float]:
-    """Largest move of an estimate on the straight, in deviations at its start; their growth."""
-    k = int(np.searchsorted(record.clock, 30.0)) - 1
+    """Largest move of an estimate on a straight, in deviations at its start; their growth.
+
+    The straight starts at 30 s; 1 s later the rear axle of a car no longer slides either.
+    """
+    k = int(np.searchsorted(record.clock, 31.0)) - 1
     moves = np.abs(record.theta[k:] - record.theta[k]).max(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = record.reach / 1.959964
@@ -244,14 +247,16 @@ def _faults(trial: Trial) -> dict[str, Any]:
     """Median over seeds of the largest error from the fault on, and the longest recovery."""
     row: dict[str, Any] = {}
     slowest = 0.0
-    kinds, n, first = (*FAULTS, "delay"), trial.seeds, TEST + trial.first
+    kinds, n, first = (*FAULTS, "delay", "glitch"), trial.seeds, TEST + trial.first
     runs = trial.over([drive for kind in kinds for drive in streams(tire, kind, first, n, 45.0)])
     for k, kind in enumerate(kinds):
         each = runs[k * n : (k + 1) * n]
         row[f"fault {kind}"] = np.median([record.errors(30.0).max() for record in each])
         if each[0].stream.end is not None:
             slowest = max(slowest, float(np.median([record.recovery(1.5) for record in each])))
-    return {**row, "recovery": slowest}
+    late = np.concatenate([record.alarms[trial.alarm] for record in each]) >= 30.0
+    glitches = n * (each[0].stream.during(30.0).sum() // 100)
+    return {**row, "recovery": slowest, "glitch alarms": 100 * late.sum() / glitches}
 
 
 def _other_changes(trial: Trial) -> dict[str, Any]:
