@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 NOTICEABLE = 0.25
 """Largest error of the solver that is not reported, in standard errors of a parameter."""
+ROUNDING = 1e-12
+"""Smaller noise, as a fraction of the output, is rounding: the data are those of the model."""
 
 
 def time_step_remarks(
@@ -26,11 +28,11 @@ def time_step_remarks(
     projected on the column space of the Jacobian. The result bounds the movement of the optimum
     `theta` (d,) in any direction, in standard errors. `order` is the order of the solver.
     """
-    if not np.all(noise):
+    values = model.predict(theta[None], *inputs)[0]
+    if np.min(noise) <= ROUNDING * np.linalg.norm(values) / values.size**0.5:
         return []
     noise = np.broadcast_to(noise, inputs[0].shape)
-    finer = replace(model, substeps=2 * model.substeps)
-    change = finer.predict(theta[None], *inputs)[0] - model.predict(theta[None], *inputs)[0]
+    change = replace(model, substeps=2 * model.substeps).predict(theta[None], *inputs)[0] - values
     J = model.jacobian(theta, *inputs) / noise[:, None]
     moves = J[:, np.abs(J).max(axis=0) > 0]
     scaled = moves / np.linalg.norm(moves, axis=0)

@@ -347,6 +347,7 @@ def test_a_step_that_is_too_long_is_told_with_what_to_set() -> None:
     needed = int(remark.split("substeps to ")[1].split(",")[0])
     assert replace(coarse, substeps=needed).remarks(theta, 1e-6, T) == []
     assert replace(coarse, substeps=needed // 2).remarks(theta, 1e-6, T) != []
+    assert coarse.remarks(theta, 1e-16, T) == []  # data of the model itself
 
 
 def test_the_report_tells_of_a_step_that_is_too_long() -> None:
