@@ -206,8 +206,8 @@ def _is_finite(problem: CurveFit, model_name: str, thetas: Array) -> bool:
         )
         where = f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name})"
         raise ValueError(
-            f"{where} anywhere in a trial of the space; narrow the bounds, take shorter steps or "
-            "correct the model"
+            f"{where} in any trial of the space; narrow the bounds, take shorter steps or correct "
+            "the model"
             if model.ordered
             else f"{where}, whatever its parameters; remove the row or correct the model"
         )
