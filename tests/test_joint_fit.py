@@ -377,3 +377,22 @@ def test_a_joint_fit_descends_from_a_start() -> None:
     for start, message in (({"b": 1}, "a_low has no bounds"), ([1], "give its values by name")):
         with pytest.raises(ValueError, match=message):
             miho.fit_joint(parts, start=start, local=["a"])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="method is 'steepest'"):
+        miho.fit_joint(parts, start={"a": 1, "b": 1}, local=["a"], method="steepest")
+
+
+def test_a_unit_that_one_part_does_not_know_is_that_of_another_part() -> None:
+    """A function without annotations has unknown units."""
+
+    def part_in(unit: str) -> tuple:
+        def turn(t, *, f):
+            return f * t
+
+        turn.__annotations__ = {"f": repr(unit)} if unit else {}  # as text of the source
+        return turn, t, 2 * t
+
+    fit = miho.fit_joint({"a": part_in(""), "b": part_in("Hz")}, {"f": (0, 5)})
+    assert fit.values["f"] == pytest.approx(2.0)
+    assert fit.parameters["unit"].tolist() == ["Hz"]
+    with pytest.raises(ValueError, match="f has the unit 'Hz' in b and 'kg' in c"):
+        miho.fit_joint({"a": part_in(""), "b": part_in("Hz"), "c": part_in("kg")}, {"f": (0, 5)})

@@ -121,6 +121,11 @@ def fit_joint(
     if not isinstance(parts, Mapping):
         raise ValueError(f"parts are a {type(parts).__name__}; give them by name: {{'left': ...}}")
     check_named(start=start, fixed=fixed, tied=tied)
+    if start is not None and not (method is None and budget is None):  # else the search checks
+        from miho.fitting.named import check_budget, method_of
+
+        method = None if method is None else method_of(method)
+        check_budget(budget)
     measured = {}
     for name, (model, x, y, *sigma) in parts.items():
         dataset, chosen, deviation = data_of(
