@@ -71,10 +71,12 @@ class JointModel(Model):
         first: dict[str, str] = {}  # the first part with this name
         for part, group in zip(self.parts, groups, strict=True):
             for name, unit in group.items():
-                first.setdefault(name, part.name)
-                if units.setdefault(name, unit) != unit:
+                known = units[name] = units.get(name) or unit  # "" is unknown
+                if unit:
+                    first.setdefault(name, part.name)
+                if unit and unit != known:
                     raise ValueError(
-                        f"{name} has the unit {units[name]!r} in {first[name]} and {unit!r} in "
+                        f"{name} has the unit {known!r} in {first[name]} and {unit!r} in "
                         f"{part.name}; use one unit, or different names"
                     )
         return units
