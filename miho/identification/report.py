@@ -372,5 +372,9 @@ class Reporting(Protocol):
 
 
 def report_of(result: Report | Reporting) -> Report:
-    """A report itself, or the report of a fit."""
-    return result if isinstance(result, Report) else result.report()
+    """A report itself, or the report of a fit; raises ValueError for anything else."""
+    if isinstance(result, Report):
+        return result
+    if not isinstance(result, Reporting):
+        raise ValueError(f"expected a fit or its report, got a {type(result).__name__}")
+    return result.report()

@@ -172,6 +172,7 @@ def test_models_are_nested_if_one_can_follow_the_other() -> None:
     ("change", "message"),
     [
         ("one", "expected at least two reports, got 1"),
+        ("list", "expected a fit or its report, got a list"),
         ("name", "two reports are called 'line'; give a mapping of names to reports"),
         ("data", "line and other are fits of different data .y in 50 rows of data, y in 49 of"),
         ("loss", "other has the loss Huber; expected Square, for which criteria"),
@@ -183,7 +184,9 @@ def test_bad_input(change: str, message: str) -> None:
     line = cars(Line(), "line")
     reports = [line]
     x, y = np.array(SPEED, dtype=float), np.array(DISTANCE, dtype=float)
-    if change == "name":
+    if change == "list":
+        reports = [[line, line]]
+    elif change == "name":
         reports.append(cars(Constant(), "line"))
     elif change == "loss":
         problem = replace(line.problem, rho=Huber(20.0), label="other")
