@@ -338,6 +338,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"x": pd.Series(pd.to_datetime(t, unit="s"), name="t")},
         "expected real numbers, for example the seconds \\(t - t.min\\(\\)\\) / pandas.Timedelta",
     ),
+    "dates with a time zone": (
+        {"x": pd.Series(pd.to_datetime(t, unit="s", utc=True), name="t")},
+        "t is '1970-01-01 .*' in row 1; expected real numbers, for example the seconds",
+    ),
     "durations": (
         {"x": pd.to_timedelta(t, unit="s")},
         "for example the seconds t / pandas.Timedel",

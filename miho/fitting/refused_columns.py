@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,11 @@ def no_numbers(name: str, values: Any) -> ValueError:
             "a tuple or by name"
         )
     value, row = _first_word(array)
+    if isinstance(value, datetime):  # with a time zone
+        return ValueError(
+            f"{name} is {str(value)!r}{row}; expected real numbers, for example the seconds "
+            f"({name} - {name}.min()) / pandas.Timedelta(seconds=1)"
+        )
     times = isinstance(value, str) and TIME.search(value)
     hint = f"; convert times by pandas.to_datetime({name})" if times else ""
     return ValueError(f"{name} is {value!r}{row}; expected real numbers{hint}")
