@@ -119,7 +119,7 @@ def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = Non
     each = [problems] if isinstance(problems, CurveFit) else problems
     if not isinstance(each, Sequence) or not each or not all(isinstance(p, CurveFit) for p in each):
         raise ValueError(
-            f"problem is {problems!r:.60}; expected a CurveFit, one for each output, or a report"
+            f"problem is {problems!r:.60}; expected a CurveFit, one for each output, or a fit"
         )
     outputs = [output for problem in each for output in _outputs(problem, noise)]
     columns = [output.column for output in outputs]
@@ -165,9 +165,7 @@ def _sigma(problem: CurveFit, noise: float | None) -> float:
     for sigma in (known, noise):
         if sigma is not None and 0 < sigma < np.inf:
             return float(sigma)
-    raise ValueError(
-        f"problem: {problem.name} has no sigma; give sigma, or the report of its fit as the prior"
-    )
+    raise ValueError(f"problem: {problem.name} has no sigma; give sigma, or its fit as the prior")
 
 
 def _common(problems: Sequence[CurveFit]) -> Space:

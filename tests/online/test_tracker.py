@@ -499,11 +499,11 @@ def test_errors_of_problems_and_rows() -> None:
     with pytest.raises(ValueError, match="expected a CurveFit"):
         Tracker([])
     fit: Any = force
-    with pytest.raises(ValueError, match="expected a CurveFit, one for each output, or a report"):
+    with pytest.raises(ValueError, match="expected a CurveFit, one for each output, or a fit"):
         Tracker(fit)
     with pytest.raises(ValueError, match="the output 'y' occurs twice"):
         Tracker([problem, problem])
-    with pytest.raises(ValueError, match="has no sigma; give sigma, or the report"):
+    with pytest.raises(ValueError, match="has no sigma; give sigma, or its fit as the prior"):
         Tracker(CurveFit(force, problem.dataset, problem.space))
     narrow = Space((Parameter("B", "", 0.0, 20.0), Parameter("D", "", 0.0, 2.0)))
     other = Dataset("other", {"slip": np.ones(2), "z": np.arange(2.0)}, {"slip": "", "z": ""}, "z")
