@@ -42,12 +42,15 @@ class Clock:
         return UNITS[self.axis]
 
     def advice(self, command: str) -> str:
-        """How to get wall seconds by `command`; empty if the clock has them."""
+        """How to get wall seconds by `command`, if it is known; empty if the clock has them."""
         if self.axis == "seconds":
             return ""
+        reason = f"CPU seconds replace seconds, because {self.disturbed}"
+        if not command:
+            return reason
         return (
-            f"CPU seconds replace seconds, because {self.disturbed}; for wall seconds, run this "
-            f"while the machine is otherwise idle: {command} fresh=true"
+            f"{reason}; for wall seconds, run this while the machine is otherwise idle: "
+            f"{command} fresh=true"
         )
 
 

@@ -46,6 +46,7 @@ def test_where_half_of_the_seeds_or_more_are_disturbed_it_is_the_processors(
     assert (clock.axis, clock.unit) == ("cpu_seconds", "CPU seconds")
     assert len(clock.runs) == len(valid)
     assert clock.advice("python -m it").endswith("otherwise idle: python -m it fresh=true")
+    assert "fresh" not in clock.advice("")
 
 
 def test_disturbed_and_unwatched_runs_are_counted_apart() -> None:
