@@ -94,6 +94,10 @@ def _own_class(node: Mapping[str, Any], key: str, kind: type[T]) -> Callable[...
         raise ConfigError(str(error)) from None
     classes = {name: member for name, member in members if is_final(member, kind)}
     if name not in classes:
+        if lacking := getattr(dict(members).get(str(name)), "__abstractmethods__", None):
+            raise ConfigError(
+                f"{key}._target_: {name} in {path} lacks {', '.join(sorted(lacking))}"
+            )
         raise ConfigError(
             f"{key}._target_: {path} has no class {name} derived from miho.{kind.__name__}; "
             f"it has {', '.join(classes) or 'none'}"

@@ -33,6 +33,10 @@ class Walk(miho.Optimizer):
 class Other(miho.Optimizer):
     def run(self, oracle, rng):
         oracle.space.sample(rng, 4)
+
+
+class Bare(miho.Optimizer):
+    pass
 """
 register()
 
@@ -75,6 +79,7 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
     [
         ("Wlak", {}, r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other"),
         ("Path", {}, "has no class Path"),
+        ("Bare", {}, r"_target_: Bare in .*walk.py lacks run"),
         ("os.system", {}, "has no class os.system"),
         ("Walk", {"point": 3}, r"optimizer.point: is unknown; did you mean points\?"),
         ("Walk", {"points": "many"}, "optimizer.points: is 'many'"),
