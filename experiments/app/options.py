@@ -34,4 +34,6 @@ def source(group: str, option: str, folders: Sequence[Path] = (CONF,)) -> str:
         path = folder / group / f"{option}.yaml"
         if path.is_file():
             return path.read_text(encoding="utf-8").strip()
-    return text_of(option) if group == "problem" and option in recorded() else ""
+        if folder == CONF and group == "problem" and option in recorded():
+            return text_of(option)
+    return ""
