@@ -85,7 +85,9 @@ def chosen_problems(patterns: Sequence[str]) -> list[str]:
     for pattern in patterns:
         matching = filter_names(known, pattern) if "*" in pattern else [pattern]
         if not matching:
-            raise ConfigError(unknown_message(f"comparison.problems={pattern}", known))
+            raise ConfigError(
+                unknown_message(f"comparison.problems={pattern}", options_of("problem"))
+            )
         names |= dict.fromkeys(matching)
     return list(names)
 

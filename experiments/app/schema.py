@@ -91,9 +91,8 @@ class ComparisonConfig:
 
     `methods` maps options of conf/optimizer to settings that replace their defaults. `problems`
     names several options of conf/problem, also by patterns such as nist_*, for an arena; without it
-    there is one problem. In an
-    arena, a run ends at `target` times the recorded optimum of its problem. `note` is text for the
-    figures. Figures and tables are written to `output`.
+    there is one problem. In an arena, a run ends at `target` times the recorded optimum of its
+    problem. `note` is text for the figures. Figures and tables are written to `output`.
     """
 
     repetitions: int = 5
