@@ -75,8 +75,10 @@ def launch(
         )
     jobs = [_job(number, texts) for number, texts in enumerate(job_overrides, first)]
     if not jobs:
-        empty = [text for text in config.hydra.overrides.task if "glob(" in text]
-        within = "; a glob finds no options in folders of a group, such as r500" * bool(empty)
+        within = (
+            "; a glob without a match has none, and it finds no options in folders of a group, "
+            "such as r500"
+        ) * any("glob(" in text for text in config.hydra.overrides.task)
         raise ConfigError(f"-m: has no values to sweep over; give some, such as seed=0,1{within}")
     if task.sweep is None:
         cfg = job_config(_copied(config), config.hydra.runtime.choices)
