@@ -212,6 +212,13 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         ["dataset.path=my.csv"],
         "path is a setting of dataset=axle_log, dataset=brake_log, dataset=csv",
     ),
+    "a group below a problem": (
+        ["problem=nist_misra1a_log", "problem.space.b1.high=5"],
+        "evidence, sigma, sigma_known, parts, local, constraints\n",
+    ),
+    "an unknown fact of a problem": (["+problem.foo=1"], "problem.foo: is unknown; allowed are"),
+    "a name inside a parameter": (["+space.B.name=q"], "space.B.name: is unknown"),
+    "an own meaning of a parameter": (["+space.B.stands_for=q"], "space.B.stands_for: is unknown"),
     "a trailing comma": (["seed=1,"], "seed=1,: ends with a comma; remove it"),
     "a seed that is no whole number": (["seed=1.5"], "seed: is 1.5; expected a whole number"),
     "several values without -m": (["seed=1,2"], "To sweep over it, add --multirun"),

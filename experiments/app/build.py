@@ -18,7 +18,7 @@ from experiments.app.instantiation import MISSING, instantiate, part_of
 from experiments.app.origin import code_of, packages_of
 from experiments.app.parts import model_files, own_files, part_nodes, with_local
 from experiments.app.safety import check_no_secret, check_root
-from experiments.app.schema import Config
+from experiments.app.schema import Config, ParameterConfig, ProblemConfig
 from miho.data import Dataset
 from miho.fitting.joint_problem import SIGMA as DEVIATION
 from miho.fitting.joint_problem import Joint, Measured
@@ -111,6 +111,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     The problem is not evaluated as a check if a result or an evaluation log of the run is stored.
     """
     setting = plain(cfg)
+    _known(ProblemConfig, part_of(setting, "problem"), "problem")
     workers, limit = _means(setting)
     root = _root(setting["root"])
     if runs_own_code(setting):
@@ -365,7 +366,7 @@ def build_space(node: Mapping[str, Any]) -> Space:
             missing = [key for key in missing if key not in UNBOUNDED]
         if missing:
             raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
-        _known(Parameter, settings, f"space.{name}")
+        _known(ParameterConfig, settings, f"space.{name}")
     try:
         return Space(tuple(Parameter(name, **settings) for name, settings in plain.items()))
     except (TypeError, ValueError) as error:
@@ -373,7 +374,7 @@ def build_space(node: Mapping[str, Any]) -> Space:
 
 
 def _known(kind: type, settings: dict[str, Any], key: str) -> dict[str, Any]:
-    """The settings of a dataclass; raises ConfigError for an unknown one, which `++` can add."""
+    """The settings of a dataclass; raises ConfigError for an unknown one, which `+` can add."""
     allowed = [field.name for field in fields(kind)]
     for name in settings:
         if name not in allowed:

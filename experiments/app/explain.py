@@ -35,6 +35,8 @@ EXTRAS = {
     "hydra/hydra_logging": ("colorlog",),
 }
 """Options of Hydra's groups that the plugins of the extra `launchers` provide."""
+WHOLE = "# @package _global_"
+"""First line of options that change the whole configuration, not only the node of their group."""
 
 
 class ConfigError(ValueError):
@@ -48,7 +50,7 @@ def unknown_message(key: str, allowed: Iterable[object]) -> str:
     close = difflib.get_close_matches(last, names, n=1)
     guess = f"; did you mean {close[0]}?" if close else ";"
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return f"{key}: is unknown{guess} allowed are {', '.join(names[:LISTED])}{more}"
+    return f"{key}: is unknown{guess} allowed are {', '.join(names[:LISTED]) or 'none'}{more}"
 
 
 def parse_overrides(texts: Sequence[str]) -> list[Override]:
@@ -183,8 +185,17 @@ def _having(key: str) -> str:
     group, _, setting = key.partition(".")
     line = re.compile(rf"^\s*{re.escape(setting)}:", re.MULTILINE)
     names = options_of(group) if setting else []
-    having = [f"{group}={name}" for name in names if line.search(source(group, name))]
+    having = [f"{group}={name}" for name in names if line.search(_node(group, name))]
     return f"; {setting} is a setting of {', '.join(having)}" if having else ""
+
+
+def _node(group: str, name: str) -> str:
+    """Text of an option, of one that changes the whole configuration only the node of its group."""
+    text = source(group, name)
+    if not text.startswith(WHOLE):
+        return text
+    found = re.search(rf"^{re.escape(group)}:.*\n((?: .*\n?)*)", text, re.MULTILINE)
+    return found[1] if found else ""
 
 
 def one_line(error: BaseException) -> str:
