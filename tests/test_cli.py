@@ -207,6 +207,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     ),
     "a word like another": (["sede=1"], "sede: is unknown; did you mean seed?"),
     "a choice like another": (["optimizer=mhio"], "optimizer=mhio: is unknown; did you mean miho?"),
+    "a choice in a folder": (["optimizer=r500/mio"], "error: optimizer=r500/mio: is unknown;"),
     "a group like another": (["optimiser=miho"], "did you mean optimizer?"),
     "a setting of another choice": (
         ["dataset.path=my.csv"],

@@ -170,6 +170,9 @@ def _ends(text: str) -> str:
 def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str:
     """Message on an option that does not exist: it belongs to an extra, or is misspelt."""
     group, _, name = str(error.missing_cfg_file).rpartition("/")
+    for key, _, value in (text.lstrip("+").partition("=") for text in texts):
+        if value and f"{key}/{value}" == error.missing_cfg_file:  # the value may name a folder
+            group, name = key, value
     chosen = any(text.lstrip("+").startswith(f"{group}=") for text in texts)
     place = "" if chosen else f"{str(error).partition(':')[0]}: "  # the file that chooses it
     if name in EXTRAS.get(group, ()):
