@@ -80,7 +80,7 @@ class Tracker(Running):
     >>> tracker = miho.Tracker(problem, prior={"a": (2.0, 0.05)})
     >>> states = [tracker.update({"x": x[k], "y": y[k]}) for k in range(200)]
     >>> [str(state.alarm) for state in states if state.alarm]
-    ['a fell by 39 ± 2 % at 2.0 s']
+    ['a fell by 38 ± 2 % at 2.1 s']
     >>> bool(abs(states[-1].values["a"] - 1.2) < 0.05)
     True
     """
