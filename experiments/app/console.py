@@ -105,6 +105,10 @@ class Job:
         """Prints a line if Hydra composes the jobs of a sweep for a long time."""
         self.composing.daemon = True
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the timer, for launchers that send the job to other processes."""
+        return vars(self) | {"composing": None}
+
     def __call__(self, cfg: DictConfig) -> float | None:
         """Run one job; bad input of a single run, or an ending that it printed, is no failure."""
         context = HydraConfig.get()
