@@ -57,9 +57,9 @@ BAD_INPUT_ERRORS = (
     MissingNumbaError,
 )  # fmt: skip
 
-SILENT = 2.0
 COMPOSING = "composing the jobs of the sweep, about 0.1 s each"
-"""Text after so many seconds [s] without another."""
+SILENT = 2.0
+"""Time until this line is printed [s]."""
 
 Task = Callable[[DictConfig], float | None]
 VALUED = (

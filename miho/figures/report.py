@@ -102,7 +102,7 @@ def plot_fit(
     parts: Mapping[str, NDArray[np.bool_]] | None,
     ax: Axes,
 ) -> Axes:
-    """Draw what `fit_figure` shows into given axes."""
+    """Draw the content of `fit_figure` into existing axes."""
     opacity, size = _opacity(len(measured.values)), _size(len(measured.values))
     style: dict[str, Any] = {"s": size, "alpha": opacity, "linewidths": 0, "rasterized": True}
     if x is not None and band is not None:

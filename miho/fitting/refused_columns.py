@@ -1,4 +1,4 @@
-"""Errors on columns that cannot be the data of a fit: what is wrong, and the remedy."""
+"""Errors on columns that cannot be the data of a fit, each with its remedy."""
 
 from __future__ import annotations
 

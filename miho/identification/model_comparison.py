@@ -161,7 +161,7 @@ def compare_models(*reports: Compared | Mapping[str, Compared]) -> ModelComparis
     ----------
     *reports : Report or Fit, or mapping of str to Report or Fit
         At least two reports on the same rows of the same output, or fits, whose reports are made.
-        A mapping gives them other names than those of their functions.
+        The keys of a mapping replace the names of the functions.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def compare_models(*reports: Compared | Mapping[str, Compared]) -> ModelComparis
     Burnham and Anderson, Model Selection and Multimodel Inference, 2nd ed. 2002, Ch. 2 and 6.4.
     Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 3.10.
     """
-    described = [report for given in reports for report in _reports_of(given)]
+    described = [report for compared in reports for report in _reports_of(compared)]
     if len(described) < 2:
         raise ValueError(f"compare_models: expected at least two reports, got {len(described)}")
     names = [report.problem.name for report in described]
@@ -196,12 +196,12 @@ def compare_models(*reports: Compared | Mapping[str, Compared]) -> ModelComparis
     return ModelComparison(tuple(described))
 
 
-def _reports_of(given: Compared | Mapping[str, Compared]) -> list[Report]:
+def _reports_of(compared: Compared | Mapping[str, Compared]) -> list[Report]:
     """The report of a fit, or the reports of a mapping, whose problems have its names."""
-    if not isinstance(given, Mapping):
-        return [report_of(given)]
+    if not isinstance(compared, Mapping):
+        return [report_of(compared)]
     reports = []
-    for name, fit in given.items():
+    for name, fit in compared.items():
         report = report_of(fit)
         problem = copy.copy(report.problem)
         vars(problem).update(label=name)

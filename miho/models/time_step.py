@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 NOTICEABLE = 0.25
 """Largest error of the solver that is not reported, in standard errors of a parameter."""
 ROUNDING = 1e-12
-"""Smaller noise, as a fraction of the output, is rounding: the data are those of the model."""
+"""Noise below this fraction of the output is rounding: the model itself made the data."""
 
 
 def time_step_remarks(

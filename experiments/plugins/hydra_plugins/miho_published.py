@@ -1,6 +1,6 @@
 """Published problems as options of the group `problem`: a source of configurations for Hydra.
 
-Hydra imports this file at the start of every command, so it imports what it needs when it loads.
+Hydra imports this file at the start of every command. The table is read at its first use.
 """
 
 from __future__ import annotations
