@@ -34,7 +34,8 @@ def pace_line(
     def observe(oracle: Oracle) -> None:
         pace.update(oracle)
         if pace.line_due():
-            error = "no value yet"
+            reasons = oracle.meter.rejected.most_common(1)
+            error = "no value yet" + "".join(f" ({reason})" for reason, _ in reasons)
             if math.isfinite(oracle.best):
                 error = with_unit(f"error {max(0.0, oracle.best) ** 0.5:.5g}", problem.unit)
             say(

@@ -7,11 +7,13 @@ run a program.
 from __future__ import annotations
 
 import json
+import os
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import IO
 
 import numpy as np
 
@@ -20,6 +22,8 @@ from miho.quantities import Array
 from miho.validate import positive
 
 PARAMETERS, INPUTS, OUTPUT = "parameters.json", "inputs.csv", "output.txt"
+TAIL, WIDTH = 4000, 200
+"""Bytes at the end of a program's messages that are read, and characters that are shown."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +32,9 @@ class CommandModel(ExternalModel):
 
     The program runs without a shell in a temporary folder, which is removed afterwards. It reads
     parameters.json (numbers by name) and inputs.csv (a header, then the columns with 17 digits),
-    and writes output.txt (one number per row). A call gives NaN if the program fails, takes too
-    long or writes anything else.
+    and writes output.txt (one number per row). A call has no value if the program fails, takes too
+    long or writes anything else. `predict` then gives NaN, or raises ValueError with the reason if
+    all its calls fail.
 
     Parameters
     ----------
@@ -72,30 +77,64 @@ class CommandModel(ExternalModel):
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Return the outputs (n, N) of parameter rows (n, d), with one run of the program each."""
-        return np.array([self._run(theta, inputs) for theta in thetas])
+        outputs = np.full((len(thetas), inputs[0].size), np.nan)
+        failures = list[_FailedCall]()
+        for theta, output in zip(thetas, outputs, strict=True):
+            try:
+                output[:] = self._run(theta, inputs)
+            except _FailedCall as failure:
+                failures.append(failure)
+        if failures and len(failures) == len(thetas):
+            raise ValueError(str(failures[0]))
+        return outputs
 
     def _run(self, theta: Array, inputs: Sequence[Array]) -> Array:
-        rows = inputs[0].size
-        with tempfile.TemporaryDirectory(prefix="miho-") as folder:
+        """The output (N,) of one run; raises _FailedCall with the reason if it has none."""
+        rows, program = inputs[0].size, Path(self.command[0]).name
+        with TemporaryDirectory(prefix="miho-") as folder, TemporaryFile() as messages:
             values = dict(zip(self.parameters, theta.tolist(), strict=True))
             Path(folder, PARAMETERS).write_text(json.dumps(values), encoding="utf-8")
             header = ",".join(self.inputs)
             columns = np.column_stack(inputs)
             np.savetxt(Path(folder, INPUTS), columns, "%.17g", ",", header=header, comments="")
             try:
-                subprocess.run(
-                    list(self.command), cwd=folder, timeout=self.seconds, check=True,
-                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
+                ended = subprocess.run(
+                    list(self.command), cwd=folder, timeout=self.seconds, check=False,
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=messages,
                 )  # fmt: skip
-                output = np.array(Path(folder, OUTPUT).read_text(encoding="utf-8").split(), float)
-            except (FileNotFoundError, PermissionError) as error:
-                if error.filename == self.command[0]:
-                    raise ValueError(
-                        f"command: cannot run {self.command[0]!r}: {error.strerror}; give the path "
-                        "of an executable program"
-                    ) from None
-                return np.full(rows, np.nan)
-            except (subprocess.SubprocessError, ValueError):
-                return np.full(rows, np.nan)
-        return output if output.shape == (rows,) else np.full(rows, np.nan)
+            except subprocess.TimeoutExpired:
+                raise _FailedCall(f"{program} took longer than {self.seconds:g} s") from None
+            except OSError as error:
+                raise ValueError(
+                    f"command: cannot run {self.command[0]!r}: {error.strerror}; give the path "
+                    "of an executable program"
+                ) from None
+            if ended.returncode:
+                code = ended.returncode
+                end = f"exit code {code}" if code > 0 else f"signal {-code}"
+                said = "".join(f": {line}" for line in _last_line(messages))
+                raise _FailedCall(f"{program} ended with {end}{said}")
+            try:
+                words = Path(folder, OUTPUT).read_text(encoding="utf-8").split()
+                output = np.array([float(word) for word in words])
+            except FileNotFoundError:
+                raise _FailedCall(f"{program} wrote no {OUTPUT}") from None
+            except ValueError as error:
+                raise _FailedCall(f"{program} wrote more than numbers: {error}") from None
+        if output.shape != (rows,):
+            raise _FailedCall(
+                f"{program} wrote {output.size} numbers to {OUTPUT}; expected {rows}, one per row"
+            )
+        return output
+
+
+class _FailedCall(Exception):  # noqa: N818 -- ends a call, and no caller sees it
+    """A run of the program gave no output."""
+
+
+def _last_line(file: IO[bytes]) -> list[str]:
+    """The last line of a program's messages that is not empty, shortened; [] if there is none."""
+    file.seek(0, os.SEEK_END)
+    file.seek(max(0, file.tell() - TAIL))
+    lines = file.read().decode(errors="replace").split("\n")
+    return [line.strip()[:WIDTH] for line in lines if line.strip()][-1:]

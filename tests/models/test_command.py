@@ -15,12 +15,13 @@ from miho.models.command import CommandModel
 PROGRAM = """\
 import csv, json, math, pathlib, time
 p = json.loads(pathlib.Path("parameters.json").read_text())
-if p["b"] < 0: raise SystemExit(1)
+if p["b"] == -70: open("output.txt", "w").write("x")
+elif p["b"] < 0: raise SystemExit("b is negative")
 if p["b"] > 90: time.sleep(60)
 rows = list(csv.DictReader(open("inputs.csv")))
 values = [p["a"] * math.exp(-p["b"] * float(row["t"])) for row in rows]
 if p["b"] > 80: values = values[1:]
-if p["b"] != 70: open("output.txt", "w").write("\\n".join(map(repr, values)))
+if abs(p["b"]) != 70: open("output.txt", "w").write("\\n".join(map(repr, values)))
 """
 T = np.linspace(0.0, 2.0, 21)
 
@@ -57,10 +58,38 @@ def test_a_call_that_fails_has_no_value(model: CommandModel) -> None:
     assert (values[3] == 1).all()
 
 
+@pytest.mark.parametrize(
+    ("b", "reason"),
+    [
+        (-1.0, r"ended with exit code 1: b is negative$"),
+        (85.0, r"wrote 20 numbers to output.txt; expected 21, one per row"),
+        (70.0, r"wrote no output.txt"),
+        (-70.0, r"wrote more than numbers: could not convert string to float: 'x'"),
+    ],
+)
+def test_the_reason_of_a_failed_call_is_an_error(
+    model: CommandModel, b: float, reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        model.predict(np.array([[1.0, b]]), T)
+
+
+def test_a_fit_of_a_program_that_always_fails_gives_the_reason(
+    model: CommandModel, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also while it searches, which it does for a program whose calls take long."""
+    monkeypatch.setattr("miho.fitting.search.QUIET", 0.0)
+    monkeypatch.setattr("miho.fitting.progress.FIRST", 0.0)
+    with pytest.raises(ValueError, match="exit code 1: b is negative"):
+        miho.fit(model, T, T, {"a": (1, 2), "b": (-2, -1)}, budget=miho.Budget(evaluations=3))
+    assert "no value yet (ValueError: " in capsys.readouterr().err
+
+
 def test_a_call_that_takes_too_long_is_killed(model: CommandModel) -> None:
     started = time.monotonic()
     quick = CommandModel(model.command, model.inputs, model.parameters, "V", seconds=1.0)
-    assert np.isnan(quick.predict(np.array([[1.0, 95.0]]), T)).all()
+    with pytest.raises(ValueError, match="took longer than 1 s"):
+        quick.predict(np.array([[1.0, 95.0]]), T)
     assert time.monotonic() - started < 30
 
 
