@@ -339,6 +339,25 @@ def test_a_part_spans_the_optima_that_the_data_of_all_cannot_tell_apart() -> Non
         assert own == pytest.approx(fit.parameters[end].to_dict(), rel=1e-6)
 
 
+def test_a_part_states_its_parameters_as_the_joint_fit_does() -> None:
+    def settling(t, a, b, c=0.5):
+        return a * np.exp(-b * t) + c
+
+    noise = 0.05 * np.random.default_rng(0).standard_normal((2, t.size))
+    left, right = settling(t, 2, 1.5) + noise[0], settling(t, 3, 1.5) + noise[1]
+    fit = miho.fit_joint(
+        {"left": (settling, t, left), "right": (settling, t, right)},
+        {"a": (0, 10), "b": (0, 1)},
+        local=["a"],
+        tied={"a_right": "1.5 * a_left"},
+    )
+    part = fit.part("right")
+    expected = fit.parameters.loc[["a_right", "b", "c"]].set_axis(["a", "b", "c"])
+    assert expected["status"].tolist() == ["= 1.5 * a_left", "at upper bound", "fixed"]
+    pd.testing.assert_frame_equal(part.parameters, expected)
+    assert "b = 1 (at its upper bound)" in str(part)
+
+
 def test_a_pickled_part_keeps_what_all_parts_know() -> None:
     """A report of the part's data alone would have other values, so that the joint fit is named."""
     noise = 0.05 * np.random.default_rng(3).standard_normal((2, t.size))

@@ -174,21 +174,25 @@ class JointFit(Fit):
         units = {**part.model.inputs, output: part.model.output}
         optima = tuple(_of_parameters(self.problem, at, part.parameters) for at in self._optima)
         values = optima[0].theta
+        known = self.parameters.loc[list(part.parameters)].set_axis([*part.model.parameters])
         # A space around these values: far from them, a simulation may have no value at any row.
-        parameters = zip(part.model.parameters.items(), values, strict=True)
-        space = Space(
-            tuple(Parameter(n, u, v - NEAR * (abs(v) or 1.0), v + NEAR * (abs(v) or 1.0))
-                  for (n, u), v in parameters)
-        )  # fmt: skip
+        own = list[Parameter]()
+        for (key, unit), value, status in zip(
+            part.model.parameters.items(), values, known["status"], strict=True
+        ):
+            near = NEAR * (abs(value) or 1.0)
+            low = value - near * (status != "at lower bound")
+            own.append(Parameter(key, unit, low, value + near * (status != "at upper bound")))
         fit = PartFit(
-            CurveFit(part.model, Dataset(name, columns, units, output), space, compiled=False),
+            CurveFit(part.model, Dataset(name, columns, units, output), Space(tuple(own)),
+                     compiled=False),
             values, values, joint=self, name=name,
         )  # fmt: skip
         alternatives = optima_table(fit.problem, optima)
         if len(alternatives):
             alternatives["excess"] = self.alternatives["excess"]
         vars(fit).update(
-            uncertainty=optima[0], _optima=optima, alternatives=alternatives,
+            parameters=known, uncertainty=optima[0], _optima=optima, alternatives=alternatives,
             _conclusion=self._conclusion, caveats=self.caveats,
         )  # fmt: skip
         return fit
