@@ -167,9 +167,11 @@ def test_many_optima_are_told_of(top: float) -> None:
     def wave(t, w):
         return np.sin(w * 4 * (t if top > 10 else np.asarray(t)))
 
-    with pytest.warns(UserWarning, match="have a better optimum than their descent found"):
+    with pytest.warns(UserWarning, match="which the table has now; the 20 others may"):
         table = miho.fit_many(wave, rises, waves, {"w": (0.1, top)})
     assert table.attrs["better"] > 0
+    with pytest.warns(UserWarning, match="of 10 datasets found .* has now; narrow the bounds"):
+        miho.fit_many(wave, rises, waves[:10], {"w": (0.1, top)})
 
 
 @pytest.mark.skipif(machine() is None, reason="without the machine some end elsewhere")

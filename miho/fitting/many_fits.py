@@ -153,9 +153,11 @@ def fit_many(
     table = _table(problem, datasets.rows, ends, covariance, parts.index)
     table.attrs.update(counts)
     if counts["better"]:
+        others = len(datasets) - counts["checked"]
+        unsure = f"; the {others:,} others may have better optima too" if others else ""
         warnings.warn(
-            f"{counts['better']} of {counts['checked']} datasets that were searched longer have a "
-            "better optimum than their descent found, and others may have one; narrow the bounds",
+            f"a longer search of {counts['checked']} datasets found a better optimum for "
+            f"{counts['better']} of them, which the table has now{unsure}; narrow the bounds",
             UserWarning,
             stacklevel=2,
         )

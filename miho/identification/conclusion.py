@@ -155,8 +155,9 @@ def conclusion_on(
     objection = ""
     if moving and exact is None:
         objection = (
-            f"a descent from this point was still improving after {moving:,} evaluations, so it is "
-            "not yet an optimum, and standard errors and intervals do not hold"
+            f"a descent from this point had not ended after {moving:,} evaluation"
+            f"{'s' * (moving > 1)}, so it may not be an optimum yet, and standard errors and "
+            "intervals may not hold"
         )
     elif at is not None and at.unidentifiable.any():
         objection = lost_effect(at, problem.space, _never_identifiable(problem))

@@ -355,8 +355,8 @@ class _Steps:
     def too_late(self) -> str:
         """The end of a sentence on results that the time limit excluded."""
         return (
-            f"are left out: the time limit of {self.seconds:g} s is over (--seconds "
-            f"{10 * self.seconds:g} raises it)."
+            f"are left out: the time limit of {self.seconds:g} s is over; set "
+            f"seconds={10 * self.seconds:g}, or --seconds {10 * self.seconds:g} on the command line."
         )
 
 

@@ -287,7 +287,7 @@ def test_a_descent_from_behind_the_wall_says_so() -> None:
 def test_a_report_ends_in_time_and_says_what_is_missing() -> None:
     report = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9)
     assert "profile intervals of b1, b2 are left out" in report.notes[-1]
-    assert "still improving" in report.conclusion.doubt
+    assert "had not ended after" in report.conclusion.doubt
     requested = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9, profiles=True)
     assert all(requested.profiles), "what is asked for takes the time it takes"
 

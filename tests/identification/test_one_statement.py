@@ -200,6 +200,7 @@ def test_a_report_without_time_casts_no_doubt_on_the_optimum() -> None:
     known = fit.optimum
     report = fit.report(seconds=0)
     assert report.omitted, "or this tests nothing"
+    assert "is over; set seconds=0, or --seconds 0 on the command line." in report.omitted[0]
     assert report.conclusion.statement == fit.optimum == known
     cut = replace(fit, theta=1.01 * fit.theta, moving=7)
-    assert "still improving after 7 evaluations" in cut.report(seconds=0).conclusion.doubt
+    assert "had not ended after 7 evaluations" in cut.report(seconds=0).conclusion.doubt
