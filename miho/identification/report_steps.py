@@ -354,9 +354,10 @@ class _Steps:
     @property
     def too_late(self) -> str:
         """The end of a sentence on results that the time limit excluded."""
+        longer = f"{10 * self.seconds:g}"
         return (
-            f"are left out: the time limit of {self.seconds:g} s is over; set "
-            f"seconds={10 * self.seconds:g}, or --seconds {10 * self.seconds:g} on the command line."
+            f"are left out: the time limit of {self.seconds:g} s is over; set seconds={longer}, or "
+            f"--seconds {longer} on the command line."
         )
 
 
