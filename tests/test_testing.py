@@ -187,6 +187,12 @@ def test_where_a_method_raises_is_said() -> None:
     assert record.error.splitlines()[-1] == f"numpy.linalg.{message}"
 
 
+def test_why_a_run_failed_is_in_the_message() -> None:
+    check = "says_when_nothing_is_finite"
+    with pytest.raises(ConformanceError, match=f"{check}: the outcome is failed: .*Singular"):
+        run_check(check, Raises(), {})
+
+
 def test_a_method_outside_of_the_box_is_counted() -> None:
     record = minimize(Sound("leaves the box"), DecayFit(), Budget(evaluations=700))
     problem = DecayFit()

@@ -110,6 +110,12 @@ def _run_observed(optimizer: Optimizer, evaluations: int) -> tuple[Oracle, Decay
     return oracle, problem
 
 
+def _outcome(record: RunRecord) -> str:
+    """The outcome of a run, with the error that ended it."""
+    error = f": {record.error.strip().splitlines()[-1]}" if record.error else ""
+    return f"the outcome is {record.outcome}{error}"
+
+
 def _same(a: Trace, b: Trace) -> bool:
     """Return whether two traces are equal except for their seconds."""
     return (
@@ -214,7 +220,7 @@ def says_when_nothing_is_finite(optimizer: Optimizer, evaluations: int = BUDGET)
     """A run without finite values has that outcome, with reasons."""
     problem = DecayFit(lambda thetas, losses: np.full(len(thetas), np.nan))
     record = minimize(optimizer, problem, Budget(evaluations=evaluations))
-    require(record.outcome is Outcome.NO_FINITE_VALUE, f"the outcome is {record.outcome}")
+    require(record.outcome is Outcome.NO_FINITE_VALUE, _outcome(record))
     require(record.theta is None and math.isinf(record.loss), "it claims a best configuration")
     require(bool(record.rejected), "no reason was recorded")
 
@@ -225,7 +231,7 @@ def stops_at_the_target(optimizer: Optimizer, evaluations: int = BUDGET) -> None
     middle = len(free.trace) // 2
     target = free.trace.loss[middle]
     record = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations, target=target), seed=3)
-    require(record.outcome is Outcome.BUDGET, f"the outcome is {record.outcome}")
+    require(record.outcome is Outcome.BUDGET, _outcome(record))
     require(
         record.loss <= target
         and record.trace.evaluations[middle] == free.trace.evaluations[middle],
