@@ -117,6 +117,15 @@ class Dataset:
                 )
         object.__setattr__(self, "columns", columns)
 
+    def __repr__(self) -> str:
+        """One line with the name, the number of rows, and the columns with their units."""
+        units = (f"{name} [{self.units[name]}]" for name in self.columns)
+        held_out = "" if self.held_out is None else f", {len(self.held_out):,} held out"
+        return (
+            f"<Dataset {self.name}: {len(self):,} rows{held_out}; columns: {', '.join(units)}; "
+            f"output: {self.output}>"
+        )
+
     def __len__(self) -> int:
         return self.columns[self.output].size
 

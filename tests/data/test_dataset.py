@@ -116,3 +116,10 @@ def test_bad_splits(ranges: dict[str, list[float]], message: str) -> None:
 def test_rows_are_held_out_once() -> None:
     with pytest.raises(ValueError, match="held out already"):
         LOADS.hold_out({"Fz": [2e3, 3e3]}).hold_out({"Fz": [1e3, 1e3]})
+
+
+def test_a_dataset_is_shown_in_one_line() -> None:
+    split = LOADS.hold_out({"Fz": [2e3, 3e3], "x": (0, 4)})
+    assert "3 rows, 3 held out" in repr(split)
+    assert "Fz [N]" in repr(split)
+    assert "array" not in repr(split)
