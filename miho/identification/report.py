@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -340,6 +341,10 @@ class Report:
         from miho.identification.report_text import text_of
 
         return text_of(self)
+
+    def _repr_html_(self) -> str:
+        """The printed form, for a notebook."""
+        return f"<pre>{escape(str(self))}</pre>"
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:

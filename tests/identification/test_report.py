@@ -1,5 +1,6 @@
 """The report tells what a known truth makes it tell."""
 
+import html
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -72,6 +73,10 @@ def test_it_prints_in_words(tire: Report) -> None:
         assert printed.strip().startswith(f"{name} ")
     words = " ".join(" ".join(lines[end + 1 :]).split())
     assert words == " ".join([tire.conclusion.statement, *(f"- {note}" for note in tire.notes)])
+
+
+def test_a_notebook_shows_the_printed_form(tire: Report) -> None:
+    assert html.unescape(tire._repr_html_()) == f"<pre>{tire}</pre>"
 
 
 def test_it_says_what_is_wrong_in_words(tire: Report) -> None:
