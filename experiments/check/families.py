@@ -1,4 +1,4 @@
-"""Families of curves from which problems are drawn by seed: smooth ones, peaks, and periods.
+"""Families of curves drawn by seed: smooth ones, peaks, periods, and kinks.
 
 Each draw has new parameters, rows and noise. The boxes are as wide as a user would choose them who
 knows little about the parameters.
@@ -28,7 +28,7 @@ class Family:
     Parameters
     ----------
     kind : str
-        "smooth", "peaks" or "periods".
+        "smooth", "peaks", "periods" or "kinks".
     formula : callable
         A function of columns and then parameters.
     box : tuple of (low, high)
@@ -346,5 +346,12 @@ FAMILIES = {
             _even(r, 100, 300, 100),
             [1, 0.02, U(r, 0.5, 1.5), U(r, 3, 10), 1, U(r, 0.7, 2), U(r, 15, 50), 4], 0.4,
         ),
+    ),
+    # A kink that a parameter moves over the rows: the loss has an optimum between any two rows.
+    "a lag with dead time": Family(
+        "kinks",
+        lambda t, K, T, s: K * (1 - np.exp(-np.maximum(t - s, 0) / T)),
+        ((0, 5), (0.05, 20), (0, 19)),
+        lambda r: (_even(r, 80, 120, 20), [2, U(r, 0.2, 4), U(r, 1, 12)], 0.2),
     ),
 }  # fmt: skip
