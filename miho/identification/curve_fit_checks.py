@@ -40,7 +40,7 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
     if problem.space.names != tuple(model.parameters):
-        raise ValueError(space_mismatch(model_name, list(model.parameters), problem.space.names))
+        raise ValueError(space_mismatch(model, problem.space.names))
     if model.ordered and dataset.held_out is not None and not expensive:  # may be unknown yet
         raise ValueError(f"{model_name} needs every row in order; expected no held-out rows")
     _ = problem.inputs  # raises for a column that the data lack
@@ -150,18 +150,28 @@ def with_defaults(space: Space, model: Model) -> Space:
     return replace(space, parameters=(*space.parameters, *fixed)).in_order(model.parameters)
 
 
-def space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[str]) -> str:
+def space_mismatch(model: Model, declared: Sequence[str]) -> str:
     """The message on a space without the parameters of the model in the order of the model."""
+    needed = list(model.parameters)
     lacking = [name for name in needed if name not in declared]
     surplus = [name for name in declared if name not in needed]
     differences = [f"lacks {', '.join(lacking)}"] * bool(lacking)
     differences += [f"also has {', '.join(surplus)}"] * bool(surplus)
     if not differences:
         differences = [f"has them in the order {', '.join(declared)}"]
+    remedy = "give it these parameters, or choose a space that has them"
     return (
-        f"model {model_name} needs the parameters {', '.join(needed)}; the space "
-        f"{' and '.join(differences)}; give it these parameters, or choose a space that has them"
+        f"model {model.name or type(model).__name__} needs the parameters {', '.join(needed)}; the "
+        f"space {' and '.join(differences)}; {remedy}{constants_of(model) * bool(surplus)}"
     )
+
+
+def constants_of(model: Model) -> str:
+    """The remedy for bounds of a constant, which only functions of a `Trajectory` have."""
+    from miho.models.trajectory import Trajectory
+
+    remedy = "; a constant of its functions becomes a parameter without its default value"
+    return remedy * isinstance(model, Trajectory)
 
 
 def _check_output_size(problem: CurveFit) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from miho.identification.curve_fit_checks import space_mismatch
+from miho.identification.curve_fit_checks import constants_of, space_mismatch
 from miho.models.model import Model
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties
@@ -22,7 +22,7 @@ def ties_of(model: Model, space: Space) -> Ties:
     """
     name = model.name or type(model).__name__
     if [n for n in space.names if n in model.parameters] != list(model.parameters):
-        raise ValueError(space_mismatch(name, list(model.parameters), space.names))
+        raise ValueError(space_mismatch(model, space.names))
     for parameter in space.parameters:
         needed = model.parameters.get(parameter.name, "")
         if parameter.unit != needed and needed and parameter.unit:
@@ -50,7 +50,7 @@ def ties_of(model: Model, space: Space) -> Ties:
         if symbol.arguments[0] not in needed_symbols:
             raise ValueError(
                 f"space.{free}: model {name} has no parameter {free}, and none is tied to it; "
-                "remove it"
+                f"remove it{constants_of(model)}"
             )
     _check_limits(ties, space.free)
     return ties

@@ -495,3 +495,16 @@ def test_rows_of_several_outputs_are_known_by_their_names() -> None:
         "power": [False, True, True, False],
     }
     assert not rows_of_parts(OSCILLATOR, [np.zeros(4)])
+
+
+@pytest.mark.parametrize("constraints", [(), "k < room"])
+def test_bounds_of_a_constant_say_how_it_becomes_a_parameter(constraints: Any) -> None:
+    def cooling(T, *, k, room=20.0):
+        return -k * (T - room)
+
+    model = Trajectory(cooling, {"T": 80.0}, ["T"])
+    t = np.linspace(0, 5, 20)
+    data = {"t": t, "T": 20 + 60 * np.exp(-0.5 * t)}
+    bounds = {"k": (0, 2), "room": (0, 40)}
+    with pytest.raises(ValueError, match=r"room.* constant .* becomes a parameter without its def"):
+        miho.fit(model, data, "T", bounds, constraints=constraints)
