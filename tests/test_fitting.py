@@ -686,7 +686,9 @@ def test_no_search_waits_for_a_compiler() -> None:
     command = [sys.executable, "-c", NO_NUMBA]
     process = subprocess.run(command, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
-    assert machine() is None or process.stderr == ""
+    progress = "stops by itself", " evaluations, "  # of a search that another process slows down
+    lines = [x for x in process.stderr.splitlines() if not any(words in x for words in progress)]
+    assert machine() is None or not lines
 
 
 @pytest.fixture
