@@ -38,21 +38,26 @@ _TABLE: dict[str, dict[str, float]] = {
     "Pa": {
         "Pa": 1.0, "kPa": _KILO, "MPa": 1e6, "bar": 1e5, "psi": _POUND_FORCE / _INCH**2,
     },
-    "s": {"s": 1.0, "ms": _MILLI, "min": 60.0},
+    "s": {"s": 1.0, "us": 1e-6, "ms": _MILLI, "min": 60.0, "h": _HOUR},
     "1/s": {"1/s": 1.0, "Hz": 1.0},
     "m": {
         "m": 1.0, "mm": _MILLI, "cm": 1e-2, "km": _KILO, "in": _INCH,
         "ft": _FOOT,
     },
     "1/m": {"1/m": 1.0},
-    "m/s": {"m/s": 1.0, "km/h": _KILO / _HOUR, "mph": 1760 * (3 * _FOOT) / _HOUR, "ft/s": _FOOT},
+    "m/s": {
+        "m/s": 1.0, "mm/s": _MILLI, "km/h": _KILO / _HOUR, "mph": 1760 * (3 * _FOOT) / _HOUR,
+        "ft/s": _FOOT,
+    },
     "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "g0": g},
     "N/m": {"N/m": 1.0, "N/mm": _KILO, "kN/m": _KILO},
     "kg": {"kg": 1.0, "lb": _POUND},
+    "kg/s": {"kg/s": 1.0, "g/s": _MILLI, "kg/h": 1 / _HOUR},
     "kg m^2": {"kg m^2": 1.0, "kg m2": 1.0},
     "V": {"V": 1.0, "mV": _MILLI},
     "A": {"A": 1.0, "mA": _MILLI},
     "W": {"W": 1.0, "kW": _KILO},
+    "J": {"J": 1.0, "kJ": _KILO},
     "K": {"K": 1.0},
 }  # fmt: skip
 
