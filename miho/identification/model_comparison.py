@@ -217,7 +217,8 @@ def _check_same_data(first: Report, second: Report) -> None:
         raise ValueError(
             f"{first.problem.name} and {second.problem.name} are fits of different data "
             f"({left.output} in {len(left)} rows of {left.name}, {right.output} in {len(right)} of "
-            f"{right.name}); compare models on the same rows of the same output"
+            f"{right.name}); compare models on the same rows of the same output, and joint fits "
+            "with joint fits"
         )
 
 
@@ -229,7 +230,8 @@ def _check_same_sigma(first: Report, second: Report) -> None:
         same = left.scale == right.scale and np.array_equal(_weights(left), _weights(right))
     if not same:
         raise ValueError(
-            f"{left.name} and {right.name} have different sigma; compare fits with the same sigma"
+            f"{left.name} and {right.name} have different sigma; give both fits, and each part of "
+            "a joint fit, the same sigma"
         )
 
 

@@ -206,6 +206,27 @@ def test_bad_input(change: str, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_joint_fits_are_compared_by_a_common_sigma() -> None:
+    """Without one, each fit has estimated the sigma of its parts, and the squares differ."""
+    x = np.linspace(0, 2, 30)
+    noise = 0.05 * np.random.default_rng(1).standard_normal((2, 30))
+    y = np.array([[2.0], [3.0]]) * np.exp(-1.5 * x) + noise
+    bounds = {"a": (0, 5), "b": (0, 3)}
+
+    def joint(sigma: float | None, *local: str) -> miho.fitting.Fit:
+        parts = {
+            name: miho.Part(decay, x, values, sigma) for name, values in zip("pq", y, strict=True)
+        }
+        return miho.fit_joint(parts, bounds, local=local)
+
+    with pytest.raises(ValueError, match="give both fits, and each part of a joint fit, the same"):
+        compare_models({"one": joint(None, "b"), "two": joint(None, "a", "b")})
+    result = compare_models({"one": joint(0.05, "b"), "two": joint(0.05, "a", "b")})
+    assert result.table["model"].tolist() == ["two", "one"]
+    with pytest.raises(ValueError, match="the same output, and joint fits with joint fits"):
+        compare_models({"all": miho.fit(decay, x, y[0], bounds), "two": joint(0.05, "a", "b")})
+
+
 def test_fits_are_compared_by_their_reports() -> None:
     x = np.linspace(0, 2, 30)
     y = 2 * np.exp(-1.5 * x) + 0.05 * np.random.default_rng(1).standard_normal(30)
