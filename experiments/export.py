@@ -20,6 +20,7 @@ from experiments.app.build import ConfigError
 from experiments.app.console import run_and_exit
 from miho.analysis.export import write_csv
 from miho.study import load_runs
+from miho.study.index import without_runs
 
 
 def main() -> None:
@@ -41,9 +42,7 @@ def main() -> None:
     def job() -> None:
         stored = load_runs(arguments.root)
         if stored.runs.empty:
-            raise ConfigError(
-                f"{arguments.root}: holds no finished runs; run experiments.identify first"
-            )
+            raise ConfigError(without_runs(arguments.root))
         write_csv(stored.runs, stored.curves, output)
         if len(stored.damaged):
             print(f"{len(stored.damaged)} damaged runs were left out", file=sys.stderr)

@@ -27,6 +27,7 @@ from miho.analysis.timing import clock_of
 from miho.analysis.variants import named_apart
 from miho.data import Dataset
 from miho.study import StoredRun, load_runs, read_run
+from miho.study.index import without_runs
 from miho.study.manifest import missing_runs, sweep_overrides
 from miho.study.provenance import IDENTITY, command_line, write_provenance
 from miho.vehicle.driving.assembly.engine import DATASETS, engine_of, fig5_data
@@ -134,16 +135,19 @@ def compared(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Runs and curves of a root that one figure compares, selected as in `draw_comparison`.
 
-    Raises ConfigError if they are on several problems, or of one method only.
+    Raises ConfigError if there are none, if they are on several problems, or of one method only.
     """
     stored = load_runs(root)
     runs = stored.runs if ids is None else stored.runs[stored.runs["id"].isin(ids)]
     problems = sorted(map(str, runs["problem"].unique()))
+    if not problems:
+        raise ConfigError(without_runs(root))
     if problem is not None and problem not in problems:
         raise ConfigError(f"problem: is {problem}, but {root} has no runs on it; {_of(problems)}")
     if problem is None and len(problems) != 1:
-        choose = f"add problem=NAME, {_of(problems)}" if problems else "run something first"
-        raise ConfigError(f"{root}: holds runs on {len(problems)} problems; {choose}")
+        raise ConfigError(
+            f"{root}: holds runs on {len(problems)} problems; add problem=NAME, {_of(problems)}"
+        )
     runs = runs[runs["problem"] == (problem or problems[0])]
     if methods is not None:
         present = sorted(map(str, runs["optimizer"].unique()))

@@ -35,6 +35,7 @@ from miho.identification.stated import marked
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of
 from miho.study import StoredRun, load_runs, read_run
+from miho.study.index import without_runs
 from miho.study.manifest import missing_runs
 from miho.study.places import inside
 
@@ -82,7 +83,7 @@ def read_sweep(root: Path) -> Sweep:
     """Read all runs of a root, with folders relative to the root."""
     stored = load_runs(root)
     if stored.runs.empty:
-        raise ConfigError(f"{root}: holds no finished run; run python -m experiments.identify")
+        raise ConfigError(without_runs(root))
     count = len(stored.runs)
     if not sys.stderr.isatty():
         print(f"report of {count:,} runs: running", file=sys.stderr, flush=True)

@@ -172,6 +172,14 @@ def load_runs(root: str | Path) -> Runs:
     return Runs(table, top, tuple(skipped), keys, tuple(curves), tuple(requests))
 
 
+def without_runs(root: str | Path) -> str:
+    """The message on a root without finished runs; it names the folders in it that have some."""
+    folders = sorted(folder for folder in Path(root).iterdir() if folder.is_dir())
+    holding = [str(folder) for folder in folders if len(load_runs(folder).runs)]
+    remedy = f"give {' or '.join(holding)}" if holding else "run python -m experiments.identify"
+    return f"{root}: holds no finished run; {remedy}"
+
+
 def _folders(top: str, depth: int) -> Iterator[str | Damage]:
     """Folders `depth` levels below `top` in the order of their paths, and obstacles on the way.
 

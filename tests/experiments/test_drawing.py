@@ -120,8 +120,15 @@ def commit(root: Path, optimizer: str, problem: str = "decay") -> None:
         store.commit(identity, record, DecayFit.space, {}, {"unit": "V"})
 
 
+def test_the_folder_above_a_root_names_the_root(tmp_path: Path) -> None:
+    commit(tmp_path / "identify", "random")
+    tmp_path.joinpath("other").mkdir()
+    with pytest.raises(ConfigError, match=r"holds no finished run; give .*identify$"):
+        compared(tmp_path)
+
+
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="holds runs on 0 problems; run something first"):
+    with pytest.raises(ConfigError, match="holds no finished run; run python -m"):
         compared(tmp_path)
     commit(tmp_path, "random")
     with pytest.raises(ConfigError, match="holds only runs of random; a comparison needs a sec"):
