@@ -111,7 +111,7 @@ def test_nothing_to_export(
     assert command(monkeypatch, tmp_path, "--to", "csv") == 2
     assert command(monkeypatch, tmp_path / "absent", "--to", "csv") == 2
     assert command(monkeypatch, tmp_path, tmp_path, "--output", tmp_path) == 2
-    assert "no finished runs" in capsys.readouterr().err
+    assert "no finished run" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -90,7 +91,7 @@ def test_a_long_search_says_that_it_is_alive(
     problem = CurveFit(lambda t, *, a, b: a + b * t, data, space, compiled=False)
     oracle: Any = SimpleNamespace(
         evaluations=5,
-        meter=SimpleNamespace(seconds=2.0),
+        meter=SimpleNamespace(seconds=2.0, rejected=Counter({"loss is nan": 5})),
         workers=SimpleNamespace(usage=None, busy=0),
         best=np.inf,
     )
@@ -100,7 +101,7 @@ def test_a_long_search_says_that_it_is_alive(
     now[0] = 2.0
     observe(oracle)
     first = capsys.readouterr().err
-    assert first.startswith("miho: model: no value yet after 5 evaluations, 2 s")
+    assert first.startswith("miho: model: no value yet (loss is nan) after 5 evaluations, 2 s")
     assert first.endswith(
         "; DifferentialEvolution stops by itself; budget=miho.Budget(seconds=60) limits it to a "
         "minute\n"
