@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.data.conventions import FLIPPED, sign_problem, to_iso_w
+from miho.data.conventions import FLIPPED, conventions_of, sign_problem, to_iso_w
 from miho.data.dataset import Dataset, number_pair
 from miho.data.preview import Reading
 from miho.data.units import UNITS, Unit, si
@@ -210,6 +210,24 @@ class Layout:
         that `fault` makes. `all_numbers` are the columns (N,) before rows were selected, which show
         the unit better.
         """
+        columns, units = self.sized_columns(numbers, fault, all_numbers)
+        wrong = sign_problem(columns, units)
+        if wrong is not None:
+            header = dict(zip(self.columns, self.names, strict=True))
+            remedies = [f"convention={name}" for name in
+                        conventions_of(columns, units, self.convention)]  # fmt: skip
+            flips = (sorted({*self.flip} ^ {name}) for name in wrong.negated)
+            remedies += [f"flip=[{', '.join(names)}]" for names in flips]
+            raise fault(header[wrong.column], None, f"{wrong.problem}; set {' or '.join(remedies)}")
+        return columns, units
+
+    def sized_columns(
+        self,
+        numbers: Mapping[str, Array],
+        fault: Fault,
+        all_numbers: Mapping[str, Array] | None = None,
+    ) -> tuple[dict[str, Array], dict[str, str]]:
+        """The columns and their units as by `si_columns`, whatever their signs are."""
         columns, units = {}, {}
         header = dict(zip(self.columns, self.names, strict=True))
         for key, spelling in zip(self.columns, self.units, strict=True):
@@ -218,11 +236,7 @@ class Layout:
                 columns[key], units[key] = raw * unit.factor, unit.name
             self._check_size(key, unit, raw, (all_numbers or numbers)[header[key]], fault)
         self._check_friction(columns, units, fault)
-        columns = to_iso_w(columns, self.convention, self.flip)
-        sign_fault = sign_problem(columns, units)
-        if sign_fault:
-            raise fault(header[sign_fault[0]], None, sign_fault[1])
-        return columns, units
+        return to_iso_w(columns, self.convention, self.flip), units
 
     def _rows(self, path: str, numbers: Mapping[str, Array]) -> NDArray[np.intp]:
         """Rows (n,) that `where` and `every` select."""
@@ -251,13 +265,15 @@ class Layout:
         low, high = self._plausible(key, unit)
         sizes, row = np.abs(all_raw), int(np.argmax(np.abs(raw)))
         with np.errstate(over="ignore"):
-            largest, of_all, typical = (
-                float(size) * unit.factor for size in (abs(raw[row]), sizes.max(), np.median(sizes))
-            )
-        if not np.isfinite(largest):
-            raise fault(header, row, f"{raw[row]:g} is not finite in {unit.name}; correct the cell")
-        stated = key in (self.ranges or {})
-        if low <= largest <= high and (stated or typical <= high):
+            largest, of_all = (float(size) * unit.factor for size in (abs(raw[row]), sizes.max()))
+            if not np.isfinite(largest):
+                problem = f"{raw[row]:g} is not finite in {unit.name}; correct the cell"
+                raise fault(header, row, problem)
+            stated = key in (self.ranges or {})
+            if low <= largest <= high and (stated or of_all <= high):
+                return
+            typical = float(np.median(sizes)) * unit.factor
+        if low <= largest <= high and typical <= high:
             return
         size, label = (of_all, "largest") if typical <= high else (typical, "median")
         if largest > high:

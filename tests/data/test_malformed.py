@@ -21,7 +21,7 @@ from miho.vehicle.models.tir import load_tir
 from miho.vehicle.models.tir_reader import TirError, read_tir
 
 COLUMNS = ["alpha", "Fy", "Fz"]
-TIRE = sample_tir("lf", n=12)
+TIRE = sample_tir("lf", n=40)
 ROWS = [
     ",".join(f"{TIRE[name][row]:.6g}" for name in COLUMNS) + ",run 1" for row in range(len(TIRE))
 ]
@@ -131,7 +131,11 @@ CSV: dict[str, tuple[str | bytes, str, str]] = {
         f"{worst('Fz')}:",
         "is the column in kN, daN or kgf?",
     ),
-    "a rising force": (column("Fy", lambda F: -F), "1:7", "Fy rises with alpha, but it falls"),
+    "a rising force": (
+        column("Fy", lambda F: -F),
+        "1:7",
+        "; set convention=adapted-sae or flip=[alpha] or flip=[Fy]",
+    ),
     "a negative load": (column("Fz", lambda F: -F), "1:10", "Fz is mostly negative"),
     "a constant force": (column("Fy", lambda _: -3000.0), "1:7", "the same value in every row"),
     "a wild cell": (first("0.1,-3e9,2600,x"), "2:5", "largest |Fy| is 3e+09 N"),
