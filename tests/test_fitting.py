@@ -240,10 +240,19 @@ def test_degrees_and_wrong_signs_of_a_slip_angle_are_refused(model: Pacejka) -> 
     box |= {"E": (-1, 0.9)} if "E" in model.parameters else {}
     with pytest.raises(ValueError, match=r"largest \|alpha\| is 8.594 rad.*is the column in deg"):
         miho.fit(model, np.rad2deg(alpha), force, box)
-    with pytest.raises(ValueError, match="Fy rises with alpha, but it falls in ISO-W; set the"):
+    remedy = "set convention='adapted-sae', or negate alpha or Fy$"
+    with pytest.raises(ValueError, match=f"Fy rises with alpha, but it falls in ISO-W; {remedy}"):
         miho.fit(model, alpha, -force, box)
-    fit = miho.fit(model, alpha, -force, box, convention="adapted-sae")
-    assert fit.values["D"] == pytest.approx(4000, rel=1e-3)
+    for fit in (
+        miho.fit(model, alpha, -force, box, convention="adapted-sae"),
+        miho.fit(model, -alpha, -force, box),
+        miho.fit(model, alpha, force, box),
+        miho.fit(model, alpha, -force, box | {"D": (-9e3, -1e3)}),
+    ):
+        assert abs(fit.values["D"]) == pytest.approx(4000, rel=1e-3)
+    meant = {name: fit.values[name] for name in model.parameters}
+    assert meant["D"] < 0
+    assert miho.fit(model, alpha, -force, start=meant).values["D"] < 0
     unit = {**box, "D": (0.1, 3), "Sy": (-1, 1)}
     assert miho.fit(model, alpha, force / 4000, unit).values["D"] == pytest.approx(1, rel=1e-3)
 
@@ -498,10 +507,14 @@ def test_a_tire_that_cannot_be_fitted(x: list[str], y: str, space: Any, message:
 
 
 WRONG: dict[str, tuple[dict[str, float], str, str]] = {
-    "sign of the slip angle": ({"alpha": -1}, "Fy", "Fy: Fy rises with alpha, .* sae, adapted-sae"),
+    "sign of the slip angle": (
+        {"alpha": -1},
+        "Fy",
+        "Fy: Fy .*; set convention='adapted-sae', or neg",
+    ),
     "its sign, seen by the moment": ({"alpha": -1}, "Mz", "Mz: Mz falls with alpha"),
-    "sign of the slip ratio": ({"kappa": -1}, "Fx", "Fx: Fx falls with kappa"),
-    "sign of the load": ({"Fz": -1}, "Fy", "Fz: Fz is mostly negative"),
+    "sign of the slip ratio": ({"kappa": -1}, "Fx", "Fx: Fx .* in ISO-W; negate kappa or Fx$"),
+    "sign of the load": ({"Fz": -1}, "Fy", "Fz: Fz is mostly negative.*'sae', or negate Fz$"),
     "degrees": ({"alpha": 57.3}, "Fy", r"alpha, row \d+: largest .* is the column in deg\?"),
     "camber in degrees": ({"gamma": 57.3}, "Mz", r"gamma, row \d+: .* column in deg or mrad\?"),
     "kN": ({"Fy": 1e-3}, "Fy", r"Fy, row \d+: largest .* in kN, daN, lbf or kgf\?"),

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
 import miho
 from miho.core import machine
+from miho.vehicle.models import Pacejka
 
 BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
 t = np.linspace(0, 3, 50)
@@ -67,6 +69,43 @@ def test_groups_by_several_columns_have_an_index_of_several_levels() -> None:
     for by in ([], ["car", "run"], 3):
         with pytest.raises(ValueError, match="expected the names of columns of a data frame x"):
             miho.fit_many(decay, frames[0], "V", BOX, by=by)
+
+
+ALPHA = np.linspace(-0.15, 0.15, 40)
+TIRE = Pacejka()
+TIRE_BOX = {"B": (2, 40), "C": (1, 2.5), "D": (1e3, 9e3), "Sx": (-0.05, 0.05), "Sy": (-500, 500)}
+
+
+def _forces(count: int) -> NDArray[np.float64]:
+    curve = TIRE.predict(np.array([[12.0, 1.5, 4000.0, 0.0, 50.0]]), ALPHA)[0]
+    return curve + np.random.default_rng(4).normal(0, 100, (count, ALPHA.size))
+
+
+@pytest.mark.parametrize("wrong", [0, 20, 39])
+def test_degrees_and_signs_of_each_dataset_are_checked(wrong: int) -> None:
+    forces = _forces(40)
+    alpha = np.tile(ALPHA, (40, 1))
+    alpha[wrong] = np.rad2deg(ALPHA)
+    with pytest.raises(ValueError, match=rf"^(dataset {wrong}: )?alpha, row 1: .* column in deg"):
+        miho.fit_many(TIRE, alpha, forces, TIRE_BOX)
+    forces[wrong] *= -1
+    frame = pd.DataFrame({"alpha": np.tile(ALPHA, 40), "F": forces.ravel()})
+    for x, y, by in (
+        (ALPHA, forces, None),
+        (frame.assign(run=np.repeat(range(40), 40)), "F", "run"),
+    ):
+        with pytest.raises(ValueError, match=rf"^(dataset {wrong}: )?Fy: Fy rises with alpha"):
+            miho.fit_many(TIRE, x, y, TIRE_BOX, by=by)
+
+
+def test_datasets_of_a_convention() -> None:
+    table = miho.fit_many(TIRE, ALPHA, _forces(3), TIRE_BOX)
+    reversed_ = miho.fit_many(TIRE, ALPHA, -_forces(3), TIRE_BOX, convention="adapted-sae")
+    pd.testing.assert_frame_equal(table, reversed_)
+    meant = miho.fit_many(TIRE, ALPHA, -_forces(3), TIRE_BOX | {"D": (-9e3, -1e3)})
+    assert (meant["D"] < 0).all()
+    with pytest.raises(ValueError, match="expected for the data of a tire only"):
+        miho.fit_many(decay, t, y, BOX, convention="sae")
 
 
 def test_a_simulation_gets_the_rows_of_each_dataset_alone() -> None:

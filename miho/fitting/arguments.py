@@ -8,18 +8,16 @@ import inspect
 import math
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.fitting.signs import in_signs_of
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.optim import Parameter, Space
-
-if TYPE_CHECKING:
-    from miho.fitting.protocols import Signed
 
 FAR = 1e6
 """The search range of a parameter without bounds: this multiple of its start on either side."""
@@ -48,17 +46,17 @@ def data_of(
     x: Any,
     y: Any,
     sigma: Any,
-    parameters: Collection[str] = (),
     missing: str = "raise",
     convention: str = "iso-w",
     ranges: Mapping[str, Sequence[float] | None] | None = None,
+    parameters: Mapping[str, float] | None = None,
 ) -> tuple[Dataset, Model, str | float | None]:
     """The dataset, the model with the units that its function declares, and sigma.
 
     Sigma becomes a number or the name of a column of the dataset. Names in `parameters` are
-    parameters, even if `x` has columns of the same names. `missing` ("raise" or "drop") is the
-    treatment of rows with a missing number. `miho.data.measurements.Layout` documents `convention`
-    and `ranges`.
+    parameters, even if `x` has columns of the same names; their values are the largest ones that
+    bounds allow. `missing` ("raise" or "drop") is the treatment of rows with a missing number.
+    `miho.data.measurements.Layout` documents `convention` and `ranges`.
     """
     if missing not in MISSING:
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
@@ -76,17 +74,14 @@ def data_of(
                 f"model is of type {type(model).__name__}; expected a function; the order of the "
                 "arguments is model, x, y, bounds"
             )
-        model = FunctionModel(model, columns=_column_names(model, x, parameters))
+        model = FunctionModel(model, columns=_column_names(model, x, parameters or {}))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
-    signed = signed_model(model)
-    if signed is not None:
-        inputs, values = signed.converted(inputs, _numbers(output, values), convention, ranges)
-    elif convention != "iso-w" or ranges:
-        raise ValueError("convention and ranges: expected for the data of a tire only; remove them")
+    values = _numbers(output, values)
+    inputs, values = in_signs_of(model, inputs, values, convention, ranges, parameters)
     while output in inputs:
         output += "_"
-    columns = {**inputs, output: _numbers(output, values)}
+    columns = {**inputs, output: values}
     units = {**model.inputs, output: model.output}
     sigma = _column_of(x, "sigma", sigma)
     if sigma is not None and not np.ndim(sigma):
@@ -109,15 +104,6 @@ def _check_no_template(model: object) -> None:
             f"the model is a {type(model).__name__}; expected its parameters as well, for example "
             f"{model.with_parameters}"
         )
-
-
-def signed_model(model: Model) -> Signed | None:
-    """The model if its quantities have a sign convention; a function has none."""
-    if isinstance(model, FunctionModel):
-        return None
-    from miho.fitting.protocols import Signed
-
-    return model if isinstance(model, Signed) else None
 
 
 def by_name(x: Any) -> bool:

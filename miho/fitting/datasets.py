@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.fitting.arguments import by_name, inputs_of
+from miho.fitting.signs import signed_model
 from miho.models.model import Model
 from miho.quantities import Array
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 OTHERWISE = "or a data frame as x, with the name of a column as y and as by"
 """What datasets of different lengths are given as."""
+EXTREME = 5
+"""Number of datasets at either end of a measure of sizes and signs that are checked."""
 
 
 class Groups:
@@ -146,6 +149,54 @@ class Datasets:
 
     def __len__(self) -> int:
         return len(self.ends) - 1
+
+    def in_signs_of(
+        self,
+        model: Model,
+        convention: str,
+        ranges: Mapping[str, Sequence[float] | None] | None,
+        largest: Mapping[str, float],
+    ) -> Datasets:
+        """These datasets in the signs of a model; arguments as of `miho.fitting.signs.in_signs_of`.
+
+        Raises ValueError for impossible columns of a dataset.
+        """
+        signed = signed_model(model)
+        if signed is None:
+            return self
+        for k in self._extreme:
+            rows = slice(self.ends[k], self.ends[k + 1])
+            X = self.X if self.shared else self.X[:, rows]
+            own = dict(zip(model.inputs, X, strict=True))
+            try:
+                signed.check_data(own, self.y[rows], convention, ranges, largest)
+            except ValueError as error:
+                raise ValueError(f"dataset {k}: {error}") from None
+        columns = dict(zip(model.inputs, self.X, strict=True))
+        columns, y = signed.converted(columns, self.y, convention)
+        return replace(self, X=np.array([*columns.values()]), y=y)
+
+    @property
+    def _extreme(self) -> NDArray[np.intp]:
+        """Datasets with the largest and smallest columns and correlations of input and output.
+
+        Columns whose sizes and signs are possible in all of them are possible in the others.
+        """
+        starts, n = self.ends[:-1], self.rows
+
+        def centred(column: Array) -> Array:
+            return column - np.repeat(np.add.reduceat(column, starts) / n, n)
+
+        X = np.tile(self.X, len(self)) if self.shared else self.X
+        measures = [np.maximum.reduceat(np.abs(column), starts) for column in (*X, self.y)]
+        measures = [np.where(size > 0, size, size.max()) for size in measures]
+        y = centred(self.y)
+        for x in map(centred, X):
+            size = np.sqrt(np.add.reduceat(x * x, starts) * np.add.reduceat(y * y, starts))
+            product = np.add.reduceat(x * y, starts)
+            measures.append(np.sqrt(n) * product / np.where(size > 0, size, np.inf))
+        order = np.argsort(measures, axis=1, kind="stable")
+        return np.unique([order[:, :EXTREME], order[:, -EXTREME:]])
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.data.dataset import Dataset
 from miho.fitting.arguments import check_named, data_of, space_of
 from miho.fitting.datasets import Groups, Rows
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
 from miho.fitting.search import searched, title
+from miho.fitting.signs import largest_values
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
@@ -51,6 +53,8 @@ def fit_many(
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
     seed: int = 0,
+    convention: str = "iso-w",
+    ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> pd.DataFrame:
     """Fit a model to many datasets and return a table with one row for each.
 
@@ -75,7 +79,7 @@ def fit_many(
         Column of `x` with one value for each dataset, or several such columns.
     start : mapping of str to float or array_like of shape (M,), optional
         A value for each free parameter, for all datasets or for each.
-    fixed, tied, constraints, seed : optional
+    fixed, tied, constraints, seed, convention, ranges : optional
         As in `miho.fit`.
 
     Returns
@@ -107,9 +111,13 @@ def fit_many(
     """
     check_named(start=start, fixed=fixed, tied=tied)
     parts = Rows(x, y) if by is None else Groups(x, y, by)
-    names = {*(fixed or ()), *(tied or ()), *(start or ())}
-    named = space.names if isinstance(space, Space) else tuple(space)
-    first, chosen, _ = data_of(model, *parts.part(0), None, {*named, *names})
+    stated = convention, ranges, largest_values(space, tied, start, fixed)
+
+    def dataset(k: int, model: Any) -> tuple[Dataset, Model]:
+        x, y = parts.part(k)
+        return data_of(model, x, y, None, "raise", *stated)[:2]
+
+    first, chosen = dataset(0, model)
     starts = None if start is None else {name: np.ravel(value) for name, value in start.items()}
     middle = (
         None
@@ -128,12 +136,12 @@ def fit_many(
         )
     if any(parameter.prior is not None for parameter in bounds.parameters):
         raise ValueError("priors: fit_many does not support them; remove them, or use miho.fit")
-    datasets = parts.of(chosen)
+    datasets = parts.of(chosen).in_signs_of(chosen, *stated)
     thetas = None if starts is None else starts_of(problem, starts, len(datasets))
 
     def search(k: int) -> Array:
-        dataset = data_of(chosen, *parts.part(k), None)[0]
-        return searched(CurveFit(chosen, dataset, bounds, compiled=False), seed=seed).theta
+        own = CurveFit(chosen, dataset(k, chosen)[0], bounds, compiled=False)
+        return searched(own, seed=seed).theta
 
     fits = MachineFits.of(problem.model, problem.space, datasets)
     began, pace = time.perf_counter(), Pace(Budget(), SLOW)

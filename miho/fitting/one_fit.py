@@ -14,6 +14,7 @@ import numpy as np
 from miho.fitting.arguments import DENSE, check_named, data_of, space_of
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import by_calls, check_repeats, searched, spread, title
+from miho.fitting.signs import largest_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
@@ -183,9 +184,8 @@ def fit(
         raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
 
     # The data, and the loss of a residual.
-    named = space.names if isinstance(space, Space) else tuple(space or ())
-    parameters = {*named, *(start or ()), *fixed, *tied}
-    dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, missing, convention, ranges)
+    parameters = largest_values(space, tied, start, fixed)
+    dataset, chosen, sigma = data_of(model, x, y, sigma, missing, convention, ranges, parameters)
     known = None if sigma is None or not sigma_known else sigma
     rho: Loss = Square()
     if loss is not None:

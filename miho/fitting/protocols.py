@@ -52,17 +52,24 @@ class Template(Protocol):
 class Signed(Protocol):
     """A model of quantities with a sign convention."""
 
-    def converted(
+    def check_data(
         self,
         inputs: Mapping[str, Array],
         output: Array,
         convention: str,
         ranges: Mapping[str, Sequence[float] | None] | None,
-    ) -> tuple[dict[str, Array], Array]:
-        """Return input and output columns (N,) in the model's signs, from columns of a convention.
+        largest: Mapping[str, float],
+    ) -> None:
+        """Raise ValueError for impossible input and output columns (N,) in signs of a convention.
 
-        `miho.data.measurements.Layout` documents `ranges`. Raises ValueError for impossible values.
+        `miho.data.measurements.Layout` documents `ranges`; `largest` are the largest values of
+        parameters that are known, by name.
         """
+
+    def converted(
+        self, inputs: Mapping[str, Array], output: Array, convention: str
+    ) -> tuple[dict[str, Array], Array]:
+        """Return input and output columns (N,) in the model's signs."""
 
     def check_signs(self, inputs: Mapping[str, Array]) -> None:
         """Raise ValueError for input columns (N,) that are not in the model's signs."""

@@ -27,22 +27,32 @@ class _OverSlipAngle(Expression):
         """Return cornering stiffness, peaks and friction."""
         return tire_features(self, columns)
 
-    def converted(
+    def check_data(
         self,
         inputs: Mapping[str, Array],
         output: Array,
         convention: str,
         ranges: Mapping[str, Sequence[float] | None] | None,
-    ) -> tuple[dict[str, Array], Array]:
-        """Return slip angle and force (N,) in ISO-W signs.
+        largest: Mapping[str, float],
+    ) -> None:
+        """Raise ValueError for slip angles in degrees, and for a force that rises with them.
 
-        Raises ValueError for slip angles in degrees and for a force that rises with the slip angle.
-        The size of the force is checked only by `ranges`, since it may be divided by the load.
+        The force may rise if B, C or D cannot be positive. The size of the force is checked only by
+        `ranges`, since it may be divided by the load.
         """
+        from miho.vehicle.models.iso_w import check_iso_w
+
+        falls = all(largest.get(name, np.inf) > 0 for name in ("B", "C", "D"))
+        ranges = {"Fy": None, **(ranges or {})}
+        check_iso_w(inputs, ["rad", "N"], "Fy", output, convention, ranges, signs=falls)
+
+    def converted(
+        self, inputs: Mapping[str, Array], output: Array, convention: str
+    ) -> tuple[dict[str, Array], Array]:
+        """Return slip angle and force (N,) in ISO-W signs."""
         from miho.vehicle.models.iso_w import in_iso_w
 
-        ranges = {"Fy": None, **(ranges or {})}
-        return in_iso_w(inputs, ["rad", "N"], "Fy", output, convention, ranges)
+        return in_iso_w(inputs, "Fy", output, convention)
 
     def check_signs(self, inputs: Mapping[str, Array]) -> None:
         """Accept all slip angles, because their sign is not known without the force."""
@@ -56,7 +66,8 @@ class Pacejka(_OverSlipAngle):
 
     This is Eq. 4 with the paper's slip angle, which is -alpha in ISO-W, so B [1/rad], C [-] and
     D [N] are positive. Sx [rad] shifts the curve along alpha, and Sy [N] shifts it along F_y: the
-    force is Sy at alpha = Sx.
+    force is Sy at alpha = Sx. A fit refuses a force that rises with alpha, unless the bounds of B,
+    C or D end at 0 or below.
 
     Examples
     --------

@@ -18,7 +18,7 @@ from miho.models.traced import TracedExpression
 from miho.optim import Space
 from miho.quantities import Array
 from miho.vehicle.models.features import tire_features
-from miho.vehicle.models.iso_w import in_iso_w
+from miho.vehicle.models.iso_w import check_iso_w, in_iso_w
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.magic_formula_parameters import parameter_names
@@ -138,20 +138,27 @@ class TireFormula(TracedExpression):
         """Return the values of the coefficients in the tire."""
         return {name: getattr(self.tire.parameters, name) for name in self.coefficients}
 
-    def converted(
+    def check_data(
         self,
         inputs: Mapping[str, Array],
         output: Array,
         convention: str,
         ranges: Mapping[str, Sequence[float] | None] | None,
-    ) -> tuple[dict[str, Array], Array]:
-        """Return inputs and force in ISO-W signs, checked like the columns of a file.
+        largest: Mapping[str, float],
+    ) -> None:
+        """Raise ValueError if the size or the sign of a column (N,) is impossible for a tire.
 
         All columns are in SI units. `miho.data.measurements.Layout` documents `convention` and
-        `ranges`. Raises ValueError if the size or the sign of a column is impossible for a tire.
+        `ranges`.
         """
         units = [*self.inputs.values(), self.output.replace("*", "")]
-        return in_iso_w(inputs, units, self.force, output, convention, ranges)
+        check_iso_w(inputs, units, self.force, output, convention, ranges)
+
+    def converted(
+        self, inputs: Mapping[str, Array], output: Array, convention: str
+    ) -> tuple[dict[str, Array], Array]:
+        """Return inputs and force (N,) in ISO-W signs."""
+        return in_iso_w(inputs, self.force, output, convention)
 
     def check_signs(self, inputs: Mapping[str, Array]) -> None:
         """Raise ValueError if most loads Fz are negative."""
