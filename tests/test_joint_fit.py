@@ -117,6 +117,21 @@ def test_tires_of_an_axle_share_what_is_told_to_be_shared() -> None:
     assert row["standard error"] == pytest.approx(np.sqrt(slopes @ covariance @ slopes), rel=1e-3)
 
 
+def test_each_tire_of_a_joint_fit_has_its_own_convention_and_ranges() -> None:
+    alpha = np.linspace(-0.15, 0.15, 60)
+    force = Pacejka().predict(np.array([[12.0, 1.5, 4000.0, 0.0, 0.0]]), alpha)[0]
+    box = {"B": (2, 40), "C": (1, 2), "D": (1e3, 1e4), "Sx": (-0.05, 0.05), "Sy": (-500, 500)}
+    left, other = Part(Pacejka(), alpha, force), Part(Pacejka(), alpha, -force)
+    with pytest.raises(ValueError, match="^right: Fy: .*convention='adapted-sae'"):
+        miho.fit_joint({"left": left, "right": other}, box)
+    with pytest.raises(ValueError, match="^left: alpha, row 1: .* expected 0.2 to 1"):
+        miho.fit_joint({"left": left._replace(ranges={"alpha": (0.2, 1)}), "right": left}, box)
+    fit = miho.fit_joint({"left": left, "right": other._replace(convention="adapted-sae")}, box)
+    assert fit.values["D"] == pytest.approx(4000, rel=1e-6)
+    meant = {"left": left, "right": other}, box | {"D_right": (-1e4, -1e3)}
+    assert miho.fit_joint(*meant, local="D").values["D_right"] == pytest.approx(-4000, rel=1e-6)
+
+
 def test_a_row_to_measure_next_counts_by_the_sigma_of_its_part() -> None:
     """Of lines in closed form: the covariance with the chosen rows is the inverse of their sum."""
     parts = {"left": (line, t, 1 + t, 0.1), "right": (line, t, 3 + t, 0.4)}
@@ -296,6 +311,8 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
             "fixed: z is not a parameter",
         ),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),
+        ({"A": (decay, t, t), "B": (decay, t)}, {}, "B: expected .* or .*sigma., got 2 entries"),
+        ({"A": (decay, t, t), "B": (Pacejka(), t, t)}, {}, "B: Fy: Fy rises with alpha"),
         (
             {"A": (miho.load_tir(embedded_tire("lf")), t, t)},
             {},

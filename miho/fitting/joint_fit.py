@@ -15,6 +15,7 @@ from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_fit import descended
 from miho.fitting.search import searched
+from miho.fitting.signs import largest_values
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
@@ -40,12 +41,16 @@ class Part(NamedTuple):
     sigma : float, array_like of shape (N,) or str, optional
         Standard deviation of the errors of `y`, in the same unit. By default `fit_joint` estimates
         it from the residuals of the part.
+    convention, ranges : optional
+        Sign convention and plausible ranges of the data of a tire, as in `miho.fit`.
     """
 
     model: Model | Callable[..., Any]
     x: Any
     y: Any
     sigma: Any = None
+    convention: str = "iso-w"
+    ranges: Mapping[str, Sequence[float] | None] | None = None
 
 
 def fit_joint(
@@ -74,8 +79,9 @@ def fit_joint(
     Parameters
     ----------
     parts : mapping of str to Part or tuple
-        The parts by name: model, x, y and optionally sigma of each. A missing sigma is estimated
-        from the residuals of its part, in turn with the parameters [1]_.
+        The parts by name: model, x, y and optionally sigma of each, and for a tire the other
+        fields of `Part`. A missing sigma is estimated from the residuals of its part, in turn with
+        the parameters [1]_.
     space : Space or mapping of str, optional
         Bounds of all parameters by name, as in `miho.fit`.
     start : mapping of str to float, optional
@@ -126,13 +132,13 @@ def fit_joint(
 
         method = None if method is None else method_of(method)
         check_budget(budget)
+    local = [local] if isinstance(local, str) else local
+    largest = largest_values(space, tied, start, fixed)
     measured = {}
-    for name, (model, x, y, *sigma) in parts.items():
-        dataset, chosen, deviation = data_of(
-            model, x, y, sigma[0] if sigma else None, missing=missing
-        )
-        measured[name] = Measured(chosen, dataset, deviation)
-    joint = Joint(measured, [local] if isinstance(local, str) else local)
+    for name, fields in parts.items():
+        own = {each: largest[f"{each}_{name}"] for each in local if f"{each}_{name}" in largest}
+        measured[name] = _measured(name, fields, missing, largest | own)
+    joint = Joint(measured, local)
     start = None if start is None else joint.with_local(start)
     bounds = joint.space(space or {}, fixed, tied, constraints, start)
     plain = bounds.without_priors if joint.lacking else bounds  # priors need sigma
@@ -154,6 +160,25 @@ def fit_joint(
             problem = joint.complete(bounds, solved, evaluations, **settings)
         fit = solved(problem)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents, moving=fit.moving)
+
+
+def _measured(
+    name: str, fields: Part | tuple[Any, ...], missing: str, largest: Mapping[str, float]
+) -> Measured:
+    """A part with its data; errors name the part."""
+    try:
+        part = Part(*fields)
+    except TypeError:
+        raise ValueError(
+            f"{name}: expected (model, x, y) or (model, x, y, sigma), got {len(fields)} entries"
+        ) from None
+    try:
+        dataset, model, sigma = data_of(
+            part.model, part.x, part.y, part.sigma, missing, part.convention, part.ranges, largest
+        )
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return Measured(model, dataset, sigma)
 
 
 @dataclass(frozen=True, eq=False)
