@@ -8,16 +8,18 @@ import inspect
 import math
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.fitting.signs import in_signs_of
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.optim import Parameter, Space
+
+if TYPE_CHECKING:
+    from miho.fitting.protocols import Signed
 
 FAR = 1e6
 """The search range of a parameter without bounds: this multiple of its start on either side."""
@@ -29,6 +31,8 @@ start."""
 
 SETTINGS = tuple(field.name for field in dataclasses.fields(Parameter))[1:-1]
 """The settings of a parameter that a mapping of bounds may have."""
+Stated = Sequence[Space | Mapping[str, Any] | None]
+"""Bounds, fixed values and others by name of the parameter."""
 MISSING = ("raise", "drop")
 """The treatment of rows with a missing number."""
 
@@ -49,14 +53,13 @@ def data_of(
     missing: str = "raise",
     convention: str = "iso-w",
     ranges: Mapping[str, Sequence[float] | None] | None = None,
-    parameters: Mapping[str, float] | None = None,
+    stated: Stated = (),
 ) -> tuple[Dataset, Model, str | float | None]:
     """The dataset, the model with the units that its function declares, and sigma.
 
-    Sigma becomes a number or the name of a column of the dataset. Names in `parameters` are
-    parameters, even if `x` has columns of the same names; their values are the largest ones that
-    bounds allow. `missing` ("raise" or "drop") is the treatment of rows with a missing number.
-    `miho.data.measurements.Layout` documents `convention` and `ranges`.
+    Sigma becomes a number or the name of a column of the dataset. Names in `stated` are parameters,
+    even if `x` has columns of the same names. `missing` ("raise" or "drop") is the treatment of
+    rows with a missing number. `miho.data.measurements.Layout` documents `convention` and `ranges`.
     """
     if missing not in MISSING:
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
@@ -74,11 +77,15 @@ def data_of(
                 f"model is of type {type(model).__name__}; expected a function; the order of the "
                 "arguments is model, x, y, bounds"
             )
-        model = FunctionModel(model, columns=_column_names(model, x, parameters or {}))
+        names = {name for each in stated for name in _names(each)}
+        model = FunctionModel(model, columns=_column_names(model, x, names))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
     values = _numbers(output, values)
-    inputs, values = in_signs_of(model, inputs, values, convention, ranges, parameters)
+    if convention != "iso-w" or ranges or signed_model(model) is not None:
+        from miho.fitting.signs import in_signs_of
+
+        inputs, values = in_signs_of(model, inputs, values, convention, ranges, stated)
     while output in inputs:
         output += "_"
     columns = {**inputs, output: values}
@@ -104,6 +111,19 @@ def _check_no_template(model: object) -> None:
             f"the model is a {type(model).__name__}; expected its parameters as well, for example "
             f"{model.with_parameters}"
         )
+
+
+def _names(stated: Space | Mapping[str, Any] | None) -> Sequence[str]:
+    return stated.names if isinstance(stated, Space) else tuple(stated or ())
+
+
+def signed_model(model: Model) -> Signed | None:
+    """The model if its quantities have a sign convention; a function has none."""
+    if isinstance(model, FunctionModel):
+        return None
+    from miho.fitting.protocols import Signed
+
+    return model if isinstance(model, Signed) else None
 
 
 def by_name(x: Any) -> bool:

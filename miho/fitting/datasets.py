@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.fitting.arguments import by_name, inputs_of
-from miho.fitting.signs import signed_model
+from miho.fitting.arguments import Stated, by_name, inputs_of, signed_model
+from miho.fitting.signs import largest_values
 from miho.models.model import Model
 from miho.quantities import Array
 
@@ -155,7 +155,7 @@ class Datasets:
         model: Model,
         convention: str,
         ranges: Mapping[str, Sequence[float] | None] | None,
-        largest: Mapping[str, float],
+        stated: Stated,
     ) -> Datasets:
         """These datasets in the signs of a model; arguments as of `miho.fitting.signs.in_signs_of`.
 
@@ -164,6 +164,7 @@ class Datasets:
         signed = signed_model(model)
         if signed is None:
             return self
+        largest = largest_values(stated)
         for k in self._extreme:
             rows = slice(self.ends[k], self.ends[k + 1])
             X = self.X if self.shared else self.X[:, rows]

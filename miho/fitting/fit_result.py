@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from miho.fitting.arguments import inputs_of
-from miho.fitting.signs import signed_model
+from miho.fitting.arguments import inputs_of, signed_model
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit
 from miho.models.traced import Remade

@@ -133,7 +133,7 @@ def fit_joint(
         method = None if method is None else method_of(method)
         check_budget(budget)
     local = [local] if isinstance(local, str) else local
-    largest = largest_values(space, tied, start, fixed)
+    largest = largest_values((space, tied, start, fixed))
     measured = {}
     for name, fields in parts.items():
         own = {each: largest[f"{each}_{name}"] for each in local if f"{each}_{name}" in largest}
@@ -174,7 +174,7 @@ def _measured(
         ) from None
     try:
         dataset, model, sigma = data_of(
-            part.model, part.x, part.y, part.sigma, missing, part.convention, part.ranges, largest
+            part.model, part.x, part.y, part.sigma, missing, part.convention, part.ranges, [largest]
         )
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None

@@ -17,7 +17,6 @@ from miho.fitting.datasets import Groups, Rows
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
 from miho.fitting.search import searched, title
-from miho.fitting.signs import largest_values
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
@@ -111,7 +110,7 @@ def fit_many(
     """
     check_named(start=start, fixed=fixed, tied=tied)
     parts = Rows(x, y) if by is None else Groups(x, y, by)
-    stated = convention, ranges, largest_values(space, tied, start, fixed)
+    stated = convention, ranges, (space, tied, start, fixed)
 
     def dataset(k: int, model: Any) -> tuple[Dataset, Model]:
         x, y = parts.part(k)

@@ -14,7 +14,6 @@ import numpy as np
 from miho.fitting.arguments import DENSE, check_named, data_of, space_of
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import by_calls, check_repeats, searched, spread, title
-from miho.fitting.signs import largest_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
@@ -184,8 +183,8 @@ def fit(
         raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
 
     # The data, and the loss of a residual.
-    parameters = largest_values(space, tied, start, fixed)
-    dataset, chosen, sigma = data_of(model, x, y, sigma, missing, convention, ranges, parameters)
+    stated = space, tied, start, fixed
+    dataset, chosen, sigma = data_of(model, x, y, sigma, missing, convention, ranges, stated)
     known = None if sigma is None or not sigma_known else sigma
     rho: Loss = Square()
     if loss is not None:
@@ -193,14 +192,14 @@ def fit(
 
         rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     # The space; without bounds, dense constraints need a narrower one.
-    stated = chosen, space, start, fixed, tied
-    own = sought = bounds = space_of(*stated)
+    given = chosen, space, start, fixed, tied
+    own = sought = bounds = space_of(*given)
     if constraints or not isinstance(constraints, tuple):
         from miho.identification.constraints import constrained, free_values
 
         bounds = constrained(sought, constraints)
         if bounds.radial is not None:
-            sought = space_of(*stated, reach=DENSE)
+            sought = space_of(*given, reach=DENSE)
             bounds = constrained(sought, constraints)
         if start is not None:  # a bad start is reported before the model is called
             from miho.identification.ties import ties_of

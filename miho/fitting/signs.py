@@ -4,54 +4,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from miho.models.function_model import FunctionModel
+from miho.fitting.arguments import Stated, signed_model
 from miho.models.model import Model
 from miho.optim import Parameter, Space
 from miho.quantities import Array
-
-if TYPE_CHECKING:
-    from miho.fitting.protocols import Signed
-
-
-def signed_model(model: Model) -> Signed | None:
-    """The model if its quantities have a sign convention; a function has none."""
-    if isinstance(model, FunctionModel):
-        return None
-    from miho.fitting.protocols import Signed
-
-    return model if isinstance(model, Signed) else None
 
 
 def in_signs_of(
     model: Model,
     inputs: dict[str, Array],
     output: Array,
-    convention: str = "iso-w",
-    ranges: Mapping[str, Sequence[float] | None] | None = None,
-    largest: Mapping[str, float] | None = None,
+    convention: str,
+    ranges: Mapping[str, Sequence[float] | None] | None,
+    stated: Stated,
 ) -> tuple[dict[str, Array], Array]:
     """Input and output columns (N,) in the signs of the model.
 
-    `largest` are the largest values of parameters, as from `largest_values`. Raises ValueError for
-    impossible columns, and for a convention or ranges of a model without signs.
+    `stated` is known about parameters. Raises ValueError for impossible columns, and for a
+    convention or ranges of a model without signs.
     """
     signed = signed_model(model)
     if signed is not None:
-        signed.check_data(inputs, output, convention, ranges, largest or {})
+        signed.check_data(inputs, output, convention, ranges, largest_values(stated))
         return signed.converted(inputs, output, convention)
     if convention != "iso-w" or ranges:
         raise ValueError("convention and ranges: expected for the data of a tire only; remove them")
     return inputs, output
 
 
-def largest_values(*stated: Space | Mapping[str, Any] | None) -> dict[str, float]:
+def largest_values(stated: Stated) -> dict[str, float]:
     """The largest value of each parameter that bounds, starts and fixed values allow.
 
-    It is infinite if they do not say; later arguments take precedence.
+    It is infinite if they do not say; later ones take precedence.
     """
     largest: dict[str, float] = {}
     for values in stated:
