@@ -29,6 +29,7 @@ MOVED = {
         for name in names
     },
     "miho.driving": "miho.vehicle.driving",
+    "miho.data.units": "miho.units",
     "miho.vehicle.data.synthetic_play": "miho.vehicle.data.synthetic_brake",
     "miho.vehicle.models.tire_fit": "miho.vehicle.models.tire_formula",
     "miho.analysis.arena_results": "baselines.arena.results",

@@ -1,4 +1,4 @@
-"""Units of data files and their conversion to SI."""
+"""Units, their spellings, and their conversion to SI."""
 
 from __future__ import annotations
 
@@ -82,6 +82,23 @@ _OTHER_SPELLINGS = MappingProxyType(
 )  # fmt: skip
 
 
+def differ(unit: str, other: str) -> bool:
+    """Return whether two units differ; spellings of one unit do not, nor do unknown units ("").
+
+    Examples
+    --------
+    >>> differ("Hz", "1/s"), differ("N*m", "Nm"), differ("N", "kN"), differ("N", "")
+    (False, False, True, False)
+    """
+    return unit != other and bool(unit and other) and _known(unit) != _known(other)
+
+
+def _known(unit: str) -> Unit | str:
+    """The SI unit and factor of a spelling, or the spelling itself if it is unknown."""
+    usual = unit if unit in UNITS else _OTHER_SPELLINGS.get(unit.strip().casefold(), unit)
+    return UNITS.get(usual, unit)
+
+
 def si(unit: str) -> Unit:
     """Return the SI unit of `unit` and the conversion factor.
 
@@ -106,7 +123,7 @@ def si(unit: str) -> Unit:
 
     Examples
     --------
-    >>> from miho.data.units import si
+    >>> from miho.units import si
     >>> si("km")
     Unit(name='m', factor=1000.0)
     """

@@ -141,7 +141,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
 }
 SHARED = {
     "miho.exports", "miho.moved", "miho.quantities", "miho.radial_map",
-    "miho.regular_file", "miho.validate",
+    "miho.regular_file", "miho.units", "miho.validate",
 }  # fmt: skip
 """Below all layers: anyone may import them, and they import nobody but NumPy."""
 CORE = {

@@ -122,9 +122,9 @@ def test_each_tire_of_a_joint_fit_has_its_own_convention_and_ranges() -> None:
     force = Pacejka().predict(np.array([[12.0, 1.5, 4000.0, 0.0, 0.0]]), alpha)[0]
     box = {"B": (2, 40), "C": (1, 2), "D": (1e3, 1e4), "Sx": (-0.05, 0.05), "Sy": (-500, 500)}
     left, other = Part(Pacejka(), alpha, force), Part(Pacejka(), alpha, -force)
-    with pytest.raises(ValueError, match="^right: Fy: .*convention='adapted-sae'"):
+    with pytest.raises(ValueError, match=r"^right: Fy: .*convention='adapted-sae'"):
         miho.fit_joint({"left": left, "right": other}, box)
-    with pytest.raises(ValueError, match="^left: alpha, row 1: .* expected 0.2 to 1"):
+    with pytest.raises(ValueError, match=r"^left: alpha, row 1: .* expected 0.2 to 1"):
         miho.fit_joint({"left": left._replace(ranges={"alpha": (0.2, 1)}), "right": left}, box)
     fit = miho.fit_joint({"left": left, "right": other._replace(convention="adapted-sae")}, box)
     assert fit.values["D"] == pytest.approx(4000, rel=1e-6)
@@ -430,5 +430,7 @@ def test_a_unit_that_one_part_does_not_know_is_that_of_another_part() -> None:
     fit = miho.fit_joint({"a": part_in(""), "b": part_in("Hz")}, {"f": (0, 5)})
     assert fit.values["f"] == pytest.approx(2.0)
     assert fit.parameters["unit"].tolist() == ["Hz"]
+    spelled = {"a": part_in("1/s"), "b": part_in("Hz")}
+    assert miho.fit_joint(spelled, {"f": (0, 5)}).parameters["unit"].tolist() == ["1/s"]
     with pytest.raises(ValueError, match="f has the unit 'Hz' in b and 'kg' in c"):
         miho.fit_joint({"a": part_in(""), "b": part_in("Hz"), "c": part_in("kg")}, {"f": (0, 5)})

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from miho.data.units import UNITS, Unit, si
+from miho.units import UNITS, Unit, si
 
 # Definitions: degree, minute, standard gravity, pound, foot and inch (1959 agreement), bar.
 BY_DEFINITION = {

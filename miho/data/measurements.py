@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from miho.data.conventions import FLIPPED, conventions_of, sign_problem, to_iso_w
 from miho.data.dataset import Dataset, number_pair
 from miho.data.preview import Reading
-from miho.data.units import UNITS, Unit, si
 from miho.quantities import Array
+from miho.units import UNITS, Unit, si
 from miho.validate import whole
 
 Fault = Callable[[str, int | None, str], ValueError]
@@ -92,7 +92,7 @@ class Layout:
         Names of the columns in the model. A column that is neither an input of the model nor the
         `output` is a condition.
     units : sequence of str
-        Units of the columns in the file, in the same order (see `miho.data.units`).
+        Units of the columns in the file, in the same order (see `miho.units`).
     output : str
         Name of the output column.
     headers : sequence of str, optional

@@ -26,6 +26,7 @@ from miho.models.layout import PART
 from miho.models.model import Model
 from miho.optim import Parameter, Space
 from miho.quantities import Array
+from miho.units import differ
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluations
@@ -287,7 +288,7 @@ def _check_units(name: str, part: Measured) -> None:
     for column, unit in needed.items():
         _ = part.dataset[column]
         own_unit = part.dataset.units[column]
-        if own_unit != unit and own_unit and unit:
+        if differ(own_unit, unit):
             raise ValueError(f"{name}: column {column!r} has unit {own_unit!r}; expected {unit!r}")
 
 
@@ -306,7 +307,7 @@ def deviations(name: str, part: Measured) -> Array:
         return np.full(output.size, spread if spread > SMALLEST else _size(output))
     if isinstance(sigma, str):
         unit, needed = dataset.units.get(sigma, ""), dataset.units[dataset.output]
-        if unit != needed and unit and needed:
+        if differ(unit, needed):
             raise ValueError(
                 f"{name}: sigma {sigma!r} has the unit {unit!r}; expected {needed!r}, the unit of "
                 f"{dataset.output!r}"

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.data.units import UNITS
 from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionFormula, FunctionModel
 from miho.models.model import Model, expensive_leaves
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
+from miho.units import UNITS, differ
 
 if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
@@ -51,7 +51,7 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     declared |= {f"output {dataset.output!r} of {dataset.name}": problem.unit}
     needed_units = (*model.parameters.values(), *model.inputs.values(), model.output)
     for (place, unit), needed in zip(declared.items(), needed_units, strict=True):
-        if needed and unit and UNITS.get(unit, unit) != UNITS.get(needed, needed):
+        if differ(unit, needed):
             raise ValueError(
                 f"{place} has unit {unit!r}; model {model_name} needs {needed!r}"
                 + f"; write the model for {unit!r}, since files are read in SI units"

@@ -26,6 +26,7 @@ from miho.identification.loss import Square
 from miho.identification.refit import refit
 from miho.identification.report import Report, Reporting, report_of, rounding_of
 from miho.quantities import Array
+from miho.units import differ
 
 REPRODUCED = 1e-6
 """A model contains another if it follows the curve of the other up to this fraction of the sum of
@@ -212,7 +213,7 @@ def _reports_of(compared: Compared | Mapping[str, Compared]) -> list[Report]:
 def _check_same_data(first: Report, second: Report) -> None:
     """Raise ValueError unless both fits used the same rows of the same output."""
     left, right = first.problem.dataset, second.problem.dataset
-    same = left.output == right.output and first.problem.unit == second.problem.unit
+    same = left.output == right.output and not differ(first.problem.unit, second.problem.unit)
     if not same or not np.array_equal(left[left.output], right[right.output]):
         raise ValueError(
             f"{first.problem.name} and {second.problem.name} are fits of different data "

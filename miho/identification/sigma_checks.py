@@ -7,6 +7,7 @@ import numpy as np
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import LARGEST, SMALLEST
 from miho.identification.loss import Square
+from miho.units import differ
 
 
 def check_sigma(problem: CurveFit) -> None:
@@ -28,7 +29,7 @@ def check_sigma(problem: CurveFit) -> None:
             f"sigma is {sigma!r}, an input or the output of the model; name a column of standard "
             "deviations"
         )
-    if dataset.units[sigma] != problem.unit and dataset.units[sigma] and problem.unit:
+    if differ(dataset.units[sigma], problem.unit):
         raise ValueError(
             f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected "
             f"{problem.unit!r}, the unit of {dataset.output!r}"

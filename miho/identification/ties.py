@@ -9,6 +9,7 @@ from miho.models.model import Model
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties
 from miho.optim.space import Space
+from miho.units import differ
 
 DRAWN = 4096
 """Number of configurations that are drawn to find one within all limits."""
@@ -25,7 +26,7 @@ def ties_of(model: Model, space: Space) -> Ties:
         raise ValueError(space_mismatch(model, space.names))
     for parameter in space.parameters:
         needed = model.parameters.get(parameter.name, "")
-        if parameter.unit != needed and needed and parameter.unit:
+        if differ(parameter.unit, needed):
             raise ValueError(
                 f"parameter {parameter.name!r} of the space has unit {parameter.unit!r}; model "
                 f"{name} needs {needed!r}"

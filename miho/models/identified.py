@@ -19,6 +19,7 @@ import numpy as np
 from miho.models.model import Model
 from miho.quantities import Array
 from miho.regular_file import read_regular
+from miho.units import differ
 
 FORMAT = 1
 LARGEST = 16 << 20
@@ -92,8 +93,8 @@ class Identified:
     def __post_init__(self) -> None:
         units = {name: value.unit for name, value in self.parameters.items()}
         pairs = zip(units.values(), self.model.parameters.values(), strict=False)
-        differ = any(unit != needed and unit and needed for unit, needed in pairs)
-        if list(units) != list(self.model.parameters) or differ:
+        wrong = any(differ(unit, needed) for unit, needed in pairs)
+        if list(units) != list(self.model.parameters) or wrong:
             raise ValueError(
                 f"parameters and units are {units}; model {type(self.model).__name__} needs "
                 f"{dict(self.model.parameters)}"

@@ -18,6 +18,7 @@ from miho.models.model import Model, Wrapper
 from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
+from miho.units import differ
 
 
 class JointPart(NamedTuple):
@@ -74,7 +75,7 @@ class JointModel(Model):
                 known = units[name] = units.get(name) or unit  # "" is unknown
                 if unit:
                     first.setdefault(name, part.name)
-                if unit and unit != known:
+                if differ(unit, known):
                     raise ValueError(
                         f"{name} has the unit {known!r} in {first[name]} and {unit!r} in "
                         f"{part.name}; use one unit, or different names"
@@ -84,8 +85,8 @@ class JointModel(Model):
     @property
     def output(self) -> str:
         """Unit of the parts, "" if their units differ."""
-        units = {part.model.output for part in self.parts}
-        return units.pop() if len(units) == 1 else ""
+        first, *others = (part.model.output for part in self.parts)
+        return "" if "" in others or any(differ(first, unit) for unit in others) else first
 
     @property
     def name(self) -> str:

@@ -17,6 +17,7 @@ from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout, check_scale
 from miho.models.model import Model
 from miho.models.time_step import time_step_remarks
 from miho.quantities import Array
+from miho.units import differ
 from miho.validate import one_of, positive, whole
 
 if TYPE_CHECKING:
@@ -362,7 +363,7 @@ def _agreeing(stated: Mapping[str, str], groups: Iterable[Mapping[str, str]]) ->
         for name, declared in group.items():
             for unit in (declared, stated.get(name, NO_UNIT)):
                 known = units.get(name, NO_UNIT)
-                if NO_UNIT not in (unit, known) and unit != known:
+                if NO_UNIT not in (unit, known) and differ(unit, known):
                     raise ValueError(f"argument {name} has the units {known!r} and {unit!r}")
                 units[name] = unit if known == NO_UNIT else known
     return units

@@ -258,3 +258,21 @@ def test_fits_of_one_function_are_named_by_a_mapping() -> None:
     assert (test["smaller"], test["larger"]) == ("b = 0", "free")
     assert test["F"] == pytest.approx(38 * (fixed.error**2 / free.error**2 - 1), rel=1e-6)
     assert free.problem.name != "free"
+
+
+def test_fits_may_spell_the_unit_of_the_output_differently() -> None:
+    """A function without annotations does not know its unit."""
+    t = np.linspace(0.0, 1.0, 20)
+    y = 2 * t + np.random.default_rng(0).normal(0, 0.01, 20)
+    fits = {}
+    for unit in ("Hz", "1/s", "", "kg"):
+
+        def turn(t, *, f):
+            return f * t
+
+        turn.__annotations__ = {"return": unit} if unit else {}
+        fits[unit or "none"] = miho.fit(turn, t, y, {"f": (0, 5)})
+    wrong = {"Hz": fits["Hz"], "kg": fits.pop("kg")}
+    assert miho.compare_models(fits).criteria["weight"].tolist() == pytest.approx([1 / 3] * 3)
+    with pytest.raises(ValueError, match="fits of different data"):
+        miho.compare_models(wrong)

@@ -17,8 +17,8 @@ from miho.data.dataset import file_name
 from miho.data.measurements import check_columns, check_names
 from miho.data.preview import Reading
 from miho.data.text_lines import CSVError
-from miho.data.units import si
 from miho.quantities import Array, g
+from miho.units import si
 from miho.validate import positive
 
 Mask = NDArray[np.bool_]
