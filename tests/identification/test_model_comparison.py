@@ -273,6 +273,6 @@ def test_fits_may_spell_the_unit_of_the_output_differently() -> None:
         turn.__annotations__ = {"return": unit} if unit else {}
         fits[unit or "none"] = miho.fit(turn, t, y, {"f": (0, 5)})
     wrong = {"Hz": fits["Hz"], "kg": fits.pop("kg")}
-    assert miho.compare_models(fits).criteria["weight"].tolist() == pytest.approx([1 / 3] * 3)
+    assert miho.compare_models(fits).table["weight"].tolist() == pytest.approx([1 / 3] * 3)
     with pytest.raises(ValueError, match="fits of different data"):
         miho.compare_models(wrong)
