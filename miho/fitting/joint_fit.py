@@ -216,9 +216,11 @@ class JointFit(Fit):
         alternatives = optima_table(fit.problem, optima)
         if len(alternatives):
             alternatives["excess"] = self.alternatives["excess"]
+        others = tuple(f"{other}: " for other in names if other != name)
         vars(fit).update(
             parameters=known, uncertainty=optima[0], _optima=optima, alternatives=alternatives,
-            _conclusion=self._conclusion, caveats=self.caveats,
+            _conclusion=self._conclusion,
+            caveats=[caveat for caveat in self.caveats if not caveat.startswith(others)],
         )  # fmt: skip
         return fit
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 NOTICEABLE = 0.25
 """Largest error of the solver that is not reported, in standard errors of a parameter."""
-ROUNDING = 1e-12
-"""Noise below this fraction of the output is rounding: the model itself made the data."""
+ROUNDING = 1e-11
+"""Noise below this fraction of the largest output is rounding: the model itself made the data."""
 
 
 def time_step_remarks(
@@ -29,7 +29,7 @@ def time_step_remarks(
     `theta` (d,) in any direction, in standard errors. `order` is the order of the solver.
     """
     values = model.predict(theta[None], *inputs)[0]
-    if np.min(noise) <= ROUNDING * np.linalg.norm(values) / values.size**0.5:
+    if np.min(noise) <= ROUNDING * np.abs(values).max():
         return []
     noise = np.broadcast_to(noise, inputs[0].shape)
     change = replace(model, substeps=2 * model.substeps).predict(theta[None], *inputs)[0] - values

@@ -387,6 +387,20 @@ def test_fits_and_parts_tell_of_a_step_that_is_too_long() -> None:
     (caveat,) = (caveat for caveat in joint.caveats if told in caveat)
     assert caveat.startswith("coarse: half the time step")
     assert caveat in joint.report(profiles=False).notes
+    assert caveat in joint.part("coarse").caveats
+    assert caveat not in joint.part("fine").caveats
+
+
+def test_an_exact_part_of_a_joint_fit_has_no_remark_on_its_step() -> None:
+    """Its residuals are rounding, and so is the sigma that they give."""
+    t = np.linspace(0, 4, 41)
+    coarse = replace(OSCILLATOR, substeps=1, units={"t": "-"})
+    exact = coarse.predict(np.array([[100.0, 1.5, 0.3]]), t)[0]
+    noisy = exact + 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    ranges = {"k": (90, 110), "c": (1, 2), "x_0": (0.2, 0.4)}
+    fit = miho.fit_joint({"exact": (coarse, t, exact), "noisy": (coarse, t, noisy)}, ranges)
+    assert fit.values["k"] == pytest.approx(100, rel=1e-9)
+    assert not [caveat for caveat in fit.caveats if caveat.startswith("exact: ")]
 
 
 def test_a_part_of_a_joint_fit_may_diverge_far_from_the_optimum() -> None:
