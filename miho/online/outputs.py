@@ -21,6 +21,8 @@ TIME = "time"
 """Column of the time of a row [s]."""
 NEXT = "_next"
 """Ending of a column's name one step later."""
+EXACT = 1e-11
+"""Errors up to this share of the largest output are rounding, not noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +156,10 @@ def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:
         rows = problem.dataset[PART] == k
         columns = {name: problem.dataset[name][rows] for name in part.model.inputs}
         sigma = float(np.median(problem.dataset[str(problem.sigma)][rows]))
+        if sigma <= _rounding(problem.dataset[problem.dataset.output][rows]):
+            raise ValueError(
+                _exact(part.name, "as the fourth entry of this part of miho.fit_joint")
+            )
         unit = part.model.output
         outputs.append(Output(part.name, unit, part.model, part.parameters, sigma, columns))
     return outputs
@@ -161,11 +167,26 @@ def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:
 
 def _sigma(problem: CurveFit, noise: float | None) -> float:
     """The standard deviation of the errors of an output."""
-    known = problem.scale if problem.sigma_known or noise is None else noise
-    for sigma in (known, noise):
-        if sigma is not None and 0 < sigma < np.inf:
-            return float(sigma)
-    raise ValueError(f"problem: {problem.name} has no sigma; give sigma, or its fit as the prior")
+    if problem.scale is not None and (problem.sigma_known or noise is None):
+        return float(problem.scale)
+    if noise is None:
+        raise ValueError(
+            f"problem: {problem.name} has no sigma; give sigma, or its fit as the prior"
+        )
+    if noise <= _rounding(problem.dataset[problem.dataset.output]):
+        raise ValueError(_exact(problem.name, "to the fit, as sigma of miho.fit"))
+    return float(noise)
+
+
+def _rounding(output: Array) -> float:
+    return EXACT * float(np.abs(output).max(initial=0.0))
+
+
+def _exact(name: str, place: str) -> str:
+    return (
+        f"problem: the fit of {name} has no errors, which leaves the noise of further rows "
+        f"unknown; give its standard deviation {place}"
+    )
 
 
 def _common(problems: Sequence[CurveFit]) -> Space:

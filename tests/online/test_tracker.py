@@ -505,6 +505,18 @@ def test_errors_of_problems_and_rows() -> None:
         Tracker([problem, problem])
     with pytest.raises(ValueError, match="has no sigma; give sigma, or its fit as the prior"):
         Tracker(CurveFit(force, problem.dataset, problem.space))
+    x = np.linspace(0, 1, 20)
+    exact = miho.fit(
+        lambda x, *, a, b: a * np.exp(-b * x), x, np.exp(-x), {"a": (0, 2), "b": (0, 2)}
+    )
+    with pytest.raises(ValueError, match=r"no errors, .*; give its .* as sigma of miho\.fit$"):
+        Tracker(exact)
+    assert Tracker(miho.fit(force, problem.dataset.columns, "y", problem.space, sigma=0.1))
+    parts = {name: (lambda x, *, a: a * x, x, 2 * x) for name in ("left", "right")}
+    with pytest.raises(ValueError, match=r"the fit of left has no errors.*miho\.fit_joint$"):
+        Tracker(miho.fit_joint(parts, {"a": (0, 5)}))
+    tracked = Tracker(miho.fit_joint({n: (*p, 0.1) for n, p in parts.items()}, {"a": (0, 5)}))
+    assert tracked.system.sigma.tolist() == [0.1, 0.1]
     narrow = Space((Parameter("B", "", 0.0, 20.0), Parameter("D", "", 0.0, 2.0)))
     other = Dataset("other", {"slip": np.ones(2), "z": np.arange(2.0)}, {"slip": "", "z": ""}, "z")
     with pytest.raises(ValueError, match="B has the bounds -50 to 50"):
