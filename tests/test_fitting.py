@@ -220,6 +220,13 @@ def test_a_fit_is_pickled_printed_and_drawn() -> None:
     own = Figure()
     left, right = own.subplots(1, 2)
     assert fit.plot(right) is own
+    for wrong, kind in (
+        (own.axes, "a list"),
+        (np.array(own.axes), "an array of axes"),
+        (own, "a Fig"),
+    ):
+        with pytest.raises(TypeError, match=f"^ax is {kind}.*: pass one axes, such as"):
+            fit.plot(wrong)
     assert right.get_ylabel() == "y"
     assert not left.has_data()
     assert fit.report().parameters["value"].tolist() == pytest.approx(list(fit.values.values()))

@@ -14,7 +14,6 @@ from miho.identification.line_wrapping import with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from miho.fitting.fit_result import Fit
@@ -81,11 +80,17 @@ def caveats(fit: Fit) -> list[str]:
     return sentences + unseen(at, space, everywhere=False)
 
 
-def figure_of(fit: Fit, ax: Axes | None = None) -> Figure:
+def figure_of(fit: Fit, ax: object = None) -> Figure:
     """The data and the curve with its interval, or measured over predicted values."""
     from miho.figures.report import Column, curve_of, fit_figure, plot_fit
     from miho.models.joint import rows_of_parts
 
+    if ax is not None:
+        from matplotlib.axes import Axes
+
+        if not isinstance(ax, Axes):
+            kind = "an array of axes" if isinstance(ax, np.ndarray) else f"a {type(ax).__name__}"
+            raise TypeError(f"ax is {kind}; the fit has one panel: pass one axes, such as axes[0]")
     problem, dataset = fit.problem, fit.problem.dataset
     parts = rows_of_parts(problem.model, problem.inputs)
     shown = "output" if parts else dataset.output
