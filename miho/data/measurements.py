@@ -151,8 +151,14 @@ class Layout:
         for name, bounds in (self.ranges or {}).items():
             if bounds is not None:
                 number_pair(bounds, f"the range of {name}")
+        where = {}
         for name, bounds in (self.where or {}).items():
             number_pair(bounds, f"where {name}")
+            key = name.strip() if isinstance(name, str) else ""  # as in the header line
+            if not key or key in where:
+                raise ValueError(f"where names {name!r}; name columns of the file, each once")
+            where[key] = bounds
+        object.__setattr__(self, "where", where or None)
 
     @property
     def names(self) -> Sequence[str]:

@@ -203,9 +203,11 @@ def _reports_of(compared: Compared | Mapping[str, Compared]) -> list[Report]:
         return [report_of(compared)]
     reports = []
     for name, fit in compared.items():
+        if name is None or not str(name).strip():
+            raise ValueError(f"compare_models: a fit has the name {name!r}; expected words")
         report = report_of(fit)
         problem = copy.copy(report.problem)
-        vars(problem).update(label=name)
+        vars(problem).update(label=str(name))
         reports.append(replace(report, problem=problem))
     return reports
 

@@ -106,6 +106,8 @@ def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) 
         ({"skip_rows": 2}, "data.csv:1:1: all lines are ignored"),
         ({"every": 0}, "every is 0; expected a whole number of at least 1"),
         ({"where": {"a": 5}}, "where a is 5; give two finite numbers"),
+        ({"where": {3: [1, 2]}}, "where names 3; name columns of the file, each once"),
+        ({"where": {"a": [1, 2], " a": [1, 2]}}, "where names ' a'; name columns"),
         ({"where": {"q": [1, 2]}}, "data.csv:1:1: no column 'q' in the header"),
         ({"where": {"a": [5, 6]}}, r"no row has where=\{'a': \[5, 6\]\}; in .* a from 1 to 1; "),
     ],
@@ -326,7 +328,7 @@ def test_a_unit_is_judged_before_rows_are_chosen(tmp_path: Path) -> None:
     degrees = np.degrees(gamma - gamma.mean())
     settings: dict[str, Any] = {
         "units": ["rad", "N", "N", "deg"],
-        "where": {"gamma": [-0.03, 0.03]},
+        "where": {" gamma ": [-0.03, 0.03]},  # blanks are ignored, as in the header
     }
     read = load(tmp_path, tire_columns(gamma=degrees), **settings)
     assert 0 < np.abs(read["gamma"]).max() < PLAUSIBLE["gamma"][1]

@@ -260,6 +260,14 @@ def test_fits_of_one_function_are_named_by_a_mapping() -> None:
     assert free.problem.name != "free"
 
 
+@pytest.mark.parametrize("name", ["", " ", None])
+def test_a_fit_without_a_name_is_refused(name: str) -> None:
+    x = np.arange(5.0)
+    fit = miho.fit(lambda x, *, a: a * x, x, x + x % 2, {"a": (0, 5)})
+    with pytest.raises(ValueError, match=f"a fit has the name {name!r}; expected words"):
+        miho.compare_models({"one": fit, name: fit})
+
+
 def test_fits_may_spell_the_unit_of_the_output_differently() -> None:
     """A function without annotations does not know its unit."""
     t = np.linspace(0.0, 1.0, 20)
