@@ -16,9 +16,9 @@ from miho.analysis.figures.house import png
 from miho.analysis.text import csv_text, without_formula
 from miho.data.csv import TextFormat, TextTable
 from miho.data.measurements import Layout
-from miho.units import UNITS
 from miho.identification import Report, optimal_design
 from miho.study import StoredRun, write_bytes, write_text
+from miho.units import UNITS
 
 ROWS, TABLE, FIGURE = "next_rows.csv", "next.csv", "next.png"
 
