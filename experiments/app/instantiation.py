@@ -23,7 +23,7 @@ from experiments.app.safety import (
     nested_target,
 )
 from experiments.app.schema import RENAMED
-from miho.models.user_file import executed
+from miho.models.user_file import defined_in, executed
 from miho.optim import Optimizer
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
@@ -89,12 +89,12 @@ def _own_class(node: Mapping[str, Any], key: str, kind: type[T]) -> Callable[...
     if not isinstance(path, str):
         raise ConfigError(f"{key}.path: is {path!r}; expected a file")
     try:
-        members = vars(executed(Path(path))).items()
+        members = defined_in(executed(Path(path)))
     except ValueError as error:
         raise ConfigError(str(error)) from None
-    classes = {name: member for name, member in members if is_final(member, kind)}
+    classes = {name: member for name, member in members.items() if is_final(member, kind)}
     if name not in classes:
-        if lacking := getattr(dict(members).get(str(name)), "__abstractmethods__", None):
+        if lacking := getattr(members.get(str(name)), "__abstractmethods__", None):
             raise ConfigError(
                 f"{key}._target_: {name} in {path} lacks {', '.join(sorted(lacking))}"
             )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copyreg
 import inspect
 import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,9 @@ from miho.models.function_model import FunctionModel, line_in
 from miho.models.model import Model
 from miho.models.trajectory import RUNGE_KUTTA, Trajectory
 from miho.regular_file import read_regular
+
+_classes: dict[Path, dict[int, Mapping[str, type]]] = {}
+"""The classes of a file by name, of each execution of the file."""
 
 
 def load_function(
@@ -52,10 +57,8 @@ def load_function(
     module = executed(source)
     public = {
         name: value
-        for name, value in vars(module).items()
-        if inspect.isfunction(value)
-        and value.__module__ == module.__name__
-        and not name.startswith("_")
+        for name, value in defined_in(module).items()
+        if inspect.isfunction(value) and not name.startswith("_")
     }
     if function is None and len(public) != 1:
         listed = f"public functions {', '.join(public)}" if public else "no public function"
@@ -144,7 +147,7 @@ def load_trajectory(
 
 
 def executed(source: Path) -> types.ModuleType:
-    """Execute a Python file and return its module.
+    """Execute a Python file and return its module; objects of its classes can be pickled.
 
     Raises FileNotFoundError if there is no such file, and ValueError with file and line if it
     cannot be used.
@@ -167,4 +170,53 @@ def executed(source: Path) -> types.ModuleType:
     finally:
         if added:
             sys.modules.pop(module.__name__, None)
+    _make_picklable(source.resolve(), module)
     return module
+
+
+def defined_in(module: types.ModuleType) -> dict[str, Any]:
+    """The functions and classes of a module by name, without imported ones."""
+    return {
+        name: member
+        for name, member in vars(module).items()
+        if (inspect.isfunction(member) or inspect.isclass(member))
+        and member.__module__ == module.__name__
+    }
+
+
+def _make_picklable(source: Path, module: types.ModuleType) -> None:
+    """Pickle objects of the classes of a file by its path, since no import finds the module."""
+    classes = {
+        name: member for name, member in defined_in(module).items() if inspect.isclass(member)
+    }
+    known = _classes.setdefault(source, {})
+    execution = 1 + max(known, default=-1)
+    known[execution] = classes
+    for name, own in classes.items():
+        copyreg.pickle(own, _Reduce(own, (source, execution, name)))
+
+
+@dataclass(frozen=True)
+class _Reduce:
+    """Reduces objects of a class to the place of the class, and their state."""
+
+    own: type
+    place: tuple[Path, int, str]
+
+    def __call__(self, instance: Any) -> Any:
+        reduced = instance.__reduce_ex__(4)
+        if isinstance(reduced, tuple) and reduced[0].__name__ == "__newobj__":
+            return _created, (*self.place, *reduced[1][1:]), *reduced[2:]
+        return reduced
+
+
+def _created(source: Path, execution: int, name: str, *arguments: Any) -> Any:
+    """An object of a class in a file, which is executed unless this process has done so."""
+    known = _classes.setdefault(source, {})
+    if execution not in known:
+        executed(source)
+        known[execution] = known[max(known)]
+    own = known[execution].get(name)
+    if own is None:
+        raise ValueError(f"{source}: has no class {name} any more; restore it")
+    return own.__new__(own, *arguments)

@@ -1,5 +1,9 @@
 """A method of the user: a class in a file that `optimizer.path` names."""
 
+import copy
+import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -18,6 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import miho
+from miho import MIHOGN
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,20 @@ def test_it_runs_and_is_named_by_its_class(file: Path) -> None:
     assert first.error != second.error
 
 
+def test_it_pickles_in_this_process_and_in_another_one(file: Path) -> None:
+    first, second = (build_optimizer(config(file, points=n)) for n in (5, 6))
+    for method in (first, second):
+        assert pickle.loads(pickle.dumps(method)) == method
+        assert copy.deepcopy(method) == method
+    stored = pickle.dumps([second, second])
+    program = f"import pickle; a, b = pickle.loads({stored!r}); print(a, type(a) is type(b))"
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.stdout == "Walk(points=6) True\n", process.stderr
+    file.write_text("import miho\n", encoding="utf-8")
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "walk.py: has no class Walk any more; restore it" in process.stderr
+
+
 def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> None:
     identities = [build(config(file)).identity, build(config(file, points=5)).identity]
     file.write_text(FILE.replace("self.points, rng", "self.points - 1, rng"), encoding="utf-8")
@@ -77,7 +96,12 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
 @pytest.mark.parametrize(
     ("target", "settings", "message"),
     [
-        ("Wlak", {}, r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other"),
+        (
+            "Wlak",
+            {},
+            r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other$",
+        ),
+        ("MIHOGN", {}, "has no class MIHOGN"),
         ("Path", {}, "has no class Path"),
         ("Bare", {}, r"_target_: Bare in .*walk.py lacks run"),
         ("os.system", {}, "has no class os.system"),
@@ -106,7 +130,7 @@ def test_a_file_that_cannot_be_run_names_its_line(file: Path) -> None:
 def test_a_run_that_raises_fails_alone(file: Path) -> None:
     (failed,) = run(requests(config(file, "Other"), "", [0]), SweepConfig()).states
     assert failed.status is Status.FAILED
-    assert "(walk.py:21)" in failed.line, "the line of the user, not of the library that it calls"
+    assert "(walk.py:22)" in failed.line, "the line of the user, not of the library that it calls"
 
 
 def test_without_a_path_the_message_names_it() -> None:
