@@ -11,6 +11,7 @@ import shutil
 import sys
 import sysconfig
 import tempfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from setuptools._distutils.sysconfig import customize_compiler
 from setuptools.command.build_ext import build_ext
 
 CORE = Path("miho/core")
+SOURCES = zlib.crc32(b"".join(path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))))
+"""Checksum by which `miho.core.tape` recognizes a machine that was built from other sources."""
 FLAGS = [
     "-std=gnu11", "-O2", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
     "-fopenmp-simd", "-fvisibility=hidden", "-fno-wrapv", "-fno-asynchronous-unwind-tables",
@@ -85,7 +88,8 @@ machine = Extension(
     depends=[str(path) for path in sorted(CORE.glob("*.h"))],
     extra_compile_args=FLAGS,
     extra_link_args=["-Wl,-s"] if sys.platform == "linux" else [],  # without names of functions
-    define_macros=[("Py_LIMITED_API", "0x030b0000")] if LIMITED else [],
+    define_macros=[("MIHO_SOURCES", f"{SOURCES}u")]
+    + ([("Py_LIMITED_API", "0x030b0000")] if LIMITED else []),
     py_limited_api=LIMITED,
     optional=True,
 )  # fmt: skip

@@ -224,6 +224,11 @@ static PyObject *py_operations(PyObject *module, PyObject *none) {
     return names;
 }
 
+PyDoc_STRVAR(sources_doc, "sources(): checksum of the sources, as by miho.core.tape.checksum.");
+static PyObject *py_sources(PyObject *module, PyObject *none) {
+    return PyLong_FromUnsignedLong(MIHO_SOURCES);
+}
+
 #define FAST(function) (PyCFunction)(void (*)(void))(function), METH_FASTCALL
 static PyMethodDef methods[] = {
     {"tape", py_tape, METH_VARARGS, tape_doc},
@@ -242,6 +247,7 @@ static PyMethodDef methods[] = {
     {"functions", py_functions, METH_NOARGS, functions_doc},
     {"levels", py_levels, METH_NOARGS, levels_doc},
     {"operations", py_operations, METH_NOARGS, operations_doc},
+    {"sources", py_sources, METH_NOARGS, sources_doc},
     {NULL, NULL, 0, NULL},
 };
 static struct PyModuleDef definition = {

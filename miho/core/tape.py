@@ -8,9 +8,11 @@ reference of the tests, and the fallback if the library was installed without a 
 from __future__ import annotations
 
 import sys
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,9 +73,13 @@ OPERATIONS: Mapping[str, Callable[..., Any]] = {
 S_DIV take a scalar; true is 1 and false 0. LOG_PARTS returns the logarithm of |x| as a sum of two
 numbers, FLOOR_PARTS the same for values of at least TINY, and POWER computes a power from the parts
 of its base, so that a power and its derivatives need one logarithm."""
+IN_NUMPY = "miho: formulas run in NumPy, which is slower: {}\n"
 NOT_BUILT = (
-    "miho: formulas run in NumPy, which is slower: {}; install a C compiler, for example gcc, then "
-    "miho again\n"
+    "the library was installed without a C compiler; install one, for example gcc, then miho again"
+)
+STALE = (
+    "miho/core was built from other sources; build it again by python setup.py build_ext --inplace "
+    "--force"
 )
 NUMBER = {name: k for k, name in enumerate(OPERATIONS)}
 WITH_SCALAR = {"ADD_S", "MUL_S", "SUB_S", "DIV_S", "S_SUB", "S_DIV"}
@@ -88,17 +94,19 @@ def machine() -> Any:
     try:
         import miho.core._machine as built
     except ImportError:
-        sys.stderr.write(NOT_BUILT.format("the library was installed without a C compiler"))
+        sys.stderr.write(IN_NUMPY.format(NOT_BUILT))
         return None
-    functions = {
-        "run_bracket", "solve_trajectories", "climb", "fit_many", "update_population",
-        "solve_in_box",
-    }  # fmt: skip
-    whole = functions <= vars(built).keys()
-    if whole and built.operations() == tuple(OPERATIONS):
+    fits = "sources" in vars(built) and checksum() in (None, built.sources())
+    if fits and built.operations() == tuple(OPERATIONS):
         return built
-    sys.stderr.write(NOT_BUILT.format("the machine of formulas was built from other sources"))
+    sys.stderr.write(IN_NUMPY.format(STALE))
     return None
+
+
+def checksum() -> int | None:
+    """The checksum of the sources in C, None if they are not installed; `setup.py` has the same."""
+    sources = sorted(Path(__file__).parent.glob("*.[ch]"))
+    return zlib.crc32(b"".join(path.read_bytes() for path in sources)) if sources else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +18,7 @@ from numpy.typing import NDArray
 import miho.core.tape
 from baselines.problems.published_model import FORMS, PublishedModel
 from miho.core import OPERATIONS, Instruction, Tape, TapeError, machine
-from miho.core.tape import WITH_SCALAR
+from miho.core.tape import WITH_SCALAR, checksum
 from miho.models.expression import Expression
 from miho.models.formula_tape import tape_of
 from miho.models.symbolic import argument, gradient, trace
@@ -136,6 +141,29 @@ def test_a_long_formula_needs_few_registers() -> None:
     theta = np.array([[12.0, 1.4, 3000.0, 0.01, 80.0]])
     again = pickle.loads(pickle.dumps(value))
     np.testing.assert_array_equal(again.evaluate(theta, x[None]), value.evaluate(theta, x[None]))
+
+
+@needs_machine
+@pytest.mark.skipif(checksum() is None, reason="the sources in C are not installed")
+@pytest.mark.parametrize("stale", [True, False])
+def test_a_machine_from_other_sources_is_refused(stale: bool, tmp_path: Path) -> None:
+    """The package is copied with its machine; a comment in its C code differs, or nothing."""
+    ignore = shutil.ignore_patterns("*.pyc")
+    shutil.copytree(Path(miho.__file__).parent, tmp_path / "miho", ignore=ignore)
+    if stale:
+        with (tmp_path / "miho/core/climb.c").open("a", encoding="utf-8") as file:
+            file.write("/* changed */\n")
+    program = "from miho.core import machine; print(machine() is None, machine() is None)"
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    process = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True,
+        text=True, check=True,
+    )  # fmt: skip
+    assert process.stdout == f"{stale} {stale}\n"
+    lines = process.stderr.splitlines()
+    assert len(lines) == stale
+    remedy = "build it again by python setup.py build_ext --inplace --force"
+    assert all(line.endswith(f"miho/core was built from other sources; {remedy}") for line in lines)
 
 
 def test_without_the_machine_numpy_runs_tapes(monkeypatch: pytest.MonkeyPatch) -> None:
