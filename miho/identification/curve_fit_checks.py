@@ -16,7 +16,6 @@ from miho.models.function_model import FunctionFormula, FunctionModel
 from miho.models.model import Model, expensive_leaves
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
-from miho.units import UNITS, differ
 
 if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
@@ -51,6 +50,10 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     declared |= {f"output {dataset.output!r} of {dataset.name}": problem.unit}
     needed_units = (*model.parameters.values(), *model.inputs.values(), model.output)
     for (place, unit), needed in zip(declared.items(), needed_units, strict=True):
+        if unit == needed or not (unit and needed):
+            continue
+        from miho.units import UNITS, differ
+
         if differ(unit, needed):
             raise ValueError(
                 f"{place} has unit {unit!r}; model {model_name} needs {needed!r}"
