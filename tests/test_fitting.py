@@ -370,6 +370,14 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"x": pd.DataFrame(np.stack([t, y, y], axis=1), columns=["t", "V", "V"]), "y": "V"},
         "x has 2 columns V; rename or drop all but one",
     ),
+    "a frame as the output": (
+        {"y": pd.DataFrame({"y": y})},
+        r"y has the shape \(60, 1\); expected a column \(N,\); give numpy.ravel\(y\)$",
+    ),
+    "a function as a tie": (
+        {"tied": {"a": lambda b: b}},
+        "space.a.tied: is <function .*; expected an expression as text, such as '2 \\* b'",
+    ),
     "a class": ({"model": Pacejka}, "model is the class Pacejka; expected an object, for example"),
     "a model's column": (
         {"model": Pacejka(), "x": {"slip": t}},

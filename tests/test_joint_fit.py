@@ -311,7 +311,9 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
             "fixed: z is not a parameter",
         ),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),
-        ({"A": (decay, t, t), "B": (decay, t)}, {}, "B: expected .* or .*sigma., got 2 entries"),
+        ({"A": (decay, t, t), "B": (decay, t)}, {}, "B: expected .*, got a tuple of 2 entries"),
+        ({"A": decay, "B": decay}, {}, "A: expected .* got a function"),
+        ({1: (decay, t, t), 2: (decay, t, t)}, {}, "parts: 1 is no name; give"),
         ({"A": (decay, t, t), "B": (Pacejka(), t, t)}, {}, "B: Fy: Fy rises with alpha"),
         (
             {"A": (miho.load_tir(embedded_tire("lf")), t, t)},

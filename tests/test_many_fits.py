@@ -267,13 +267,16 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
     for arguments, keywords, message in (
         ((decay, t, y[0], BOX), {}, "shape \\(50,\\); expected \\(datasets, rows\\)"),
         ((decay, t, [y[0], y[0][:9]], BOX), {}, "y: expected an array of numbers"),
+        ((decay, t, y * 1j, BOX), {}, "y is complex128; expected real numbers"),
+        ((decay, pd.to_datetime(t, unit="s"), y, BOX), {}, "x is datetime.*; expected real numb"),
+        ((decay, t, y.T, BOX), {}, r"x has 50 rows and y has 60; give y as \(datasets, rows\)"),
         (
             (decay, t, y, BOX),
             {"start": [1, 1, 1]},
             "start is \\[1, 1, 1\\]; give its values by name",
         ),
         ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; expected"),
-        ((decay, t[:7], y, BOX), {}, "differ in length"),
+        ((decay, t[:7], y, BOX), {}, "x has 7 rows and y has 50"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
         ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1}}, "lacks c"),

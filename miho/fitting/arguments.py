@@ -81,7 +81,7 @@ def data_of(
         model = FunctionModel(model, columns=_column_names(model, x, names))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
-    values = _numbers(output, values)
+    values = numbers_in(output, values)
     if convention != "iso-w" or ranges or signed_model(model) is not None:
         from miho.fitting.signs import in_signs_of
 
@@ -97,7 +97,7 @@ def data_of(
         name = "sigma"
         while name in columns:
             name += "_"
-        columns[name], units[name], sigma = _numbers(name, sigma), model.output, name
+        columns[name], units[name], sigma = numbers_in(name, sigma), model.output, name
     columns = _complete(model.name or "data", columns, missing)
     return Dataset(model.name or "data", columns, units, output), model, sigma
 
@@ -221,20 +221,23 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
             from miho.fitting.refused_columns import no_column
 
             raise no_column(model, lacking)
-        return {name: _numbers(name, x[name]) for name in names}
+        return {name: numbers_in(name, x[name]) for name in names}
     columns = x if isinstance(x, tuple) else (x,)
     if len(columns) != len(names):
         raise ValueError(
             f"x has {len(columns)} columns; expected {len(names)} for {model.name}: "
             f"{', '.join(names)}; give them as a tuple or by name"
         )
-    return {name: _numbers(name, column) for name, column in zip(names, columns, strict=True)}
+    return {name: numbers_in(name, column) for name, column in zip(names, columns, strict=True)}
 
 
-def _numbers(name: str, values: Any) -> NDArray[np.float64]:
-    """A column as real numbers, NaN for missing ones; refuses conversions that lose information."""
+def numbers_in(name: str, values: Any, axes: int = 1) -> NDArray[np.float64]:
+    """A column as real numbers, NaN for missing ones; refuses conversions that lose information.
+
+    `axes` is the largest number of its axes.
+    """
     array = np.asarray(values)
-    if array.dtype.kind in "cmM" or array.ndim > 1:
+    if array.dtype.kind in "cmM" or array.ndim > axes:
         raise _refused(name, values)
     if np.ma.is_masked(values):
         return np.where(np.ma.getmaskarray(values), np.nan, array.astype(float))

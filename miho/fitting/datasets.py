@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.fitting.arguments import Stated, by_name, inputs_of, signed_model
+from miho.fitting.arguments import Stated, by_name, inputs_of, numbers_in, signed_model
 from miho.fitting.signs import largest_values
 from miho.models.model import Model
 from miho.quantities import Array
@@ -55,7 +55,7 @@ class Groups:
     def of(self, model: Model) -> Datasets:
         """All datasets as arrays."""
         X = np.array([column[self.order] for column in inputs_of(model, self.frame).values()])
-        y = np.asarray(self.frame[self.y], dtype=float)[self.order]
+        y = numbers_in(self.y, self.frame[self.y])[self.order]
         return Datasets.checked(X, y, self.ends)
 
 
@@ -69,11 +69,12 @@ class Rows:
         if isinstance(y, str):
             raise ValueError(f"y is {y!r}; expected by= as well, the column that names the dataset")
         try:
-            self.y = np.asarray(y, dtype=float)
-        except (TypeError, ValueError):
+            y = np.asarray(y)
+        except ValueError:  # of lists with different lengths
             raise ValueError(
                 f"y: expected an array of numbers (datasets, rows), {OTHERWISE}"
             ) from None
+        self.y = numbers_in("y", y, 2)
         if self.y.ndim != 2 or not self.y.size:
             raise ValueError(
                 f"y has the shape {self.y.shape}; expected (datasets, rows), {OTHERWISE}"
@@ -83,9 +84,14 @@ class Rows:
         names = [*x] if self.by_name else range(len(x) if isinstance(x, tuple) else 1)
         columns = [x[name] for name in x] if self.by_name else x if isinstance(x, tuple) else (x,)
         self.columns = dict(
-            zip(names, [np.asarray(column, dtype=float) for column in columns], strict=True)
+            zip(names, [numbers_in("x", column, 2) for column in columns], strict=True)
         )
         for column in self.columns.values():
+            if column.shape[-1:] != self.y.shape[1:]:
+                raise ValueError(
+                    f"x has {column.shape[-1] if column.ndim else 0} rows and y has "
+                    f"{self.y.shape[1]}; give y as (datasets, rows)"
+                )
             if column.ndim == 2 and len(column) != len(self.y):
                 raise ValueError(
                     f"x has {len(column)} datasets and y {len(self.y)}; expected the same number"
@@ -101,11 +107,6 @@ class Rows:
         names = [*inputs_of(model, self.part(0)[0])] if self.by_name else [*self.columns]
         columns = [self.columns[name] for name in names]
         M, N = self.y.shape
-        for column in columns:
-            if column.shape[-1] != N:
-                raise ValueError(
-                    f"x has {column.shape[-1]} rows and y has {N}; give y as (datasets, rows)"
-                )
         ends = np.arange(M + 1) * N
         if all(column.ndim == 1 for column in columns):
             return Datasets.checked(np.array(columns), self.y.ravel(), ends)

@@ -166,12 +166,15 @@ def _measured(
     name: str, fields: Part | tuple[Any, ...], missing: str, largest: Mapping[str, float]
 ) -> Measured:
     """A part with its data; errors name the part."""
-    try:
-        part = Part(*fields)
-    except TypeError:
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"parts: {name!r} is no name; give the parts by names such as 'left'")
+    if not isinstance(fields, tuple | list) or not 3 <= len(fields) <= len(Part._fields):
+        size = f" of {len(fields)} entries" if isinstance(fields, tuple | list) else ""
         raise ValueError(
-            f"{name}: expected (model, x, y) or (model, x, y, sigma), got {len(fields)} entries"
-        ) from None
+            f"{name}: expected (model, x, y) or (model, x, y, sigma), got a "
+            f"{type(fields).__name__}{size}"
+        )
+    part = Part(*fields)
     try:
         dataset, model, sigma = data_of(
             part.model, part.x, part.y, part.sigma, missing, part.convention, part.ranges, [largest]

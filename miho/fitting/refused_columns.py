@@ -43,12 +43,13 @@ def no_numbers(name: str, values: Any) -> ValueError:
             f"{name} is {array.dtype}; expected real numbers, for example the seconds "
             f"{passed} / pandas.Timedelta(seconds=1)"
         )
-    if name in getattr(values, "columns", ()):
+    if name in getattr(values, "columns", ()) and array.shape[1] > 1:
         return ValueError(f"x has {array.shape[1]} columns {name}; rename or drop all but one")
     if array.ndim > 1:
+        single = array.size == max(array.shape)
+        remedy = f"numpy.ravel({name})" if single else "several columns as a tuple or by name"
         return ValueError(
-            f"{name} has the shape {array.shape}; expected a column (N,); give several columns as "
-            "a tuple or by name"
+            f"{name} has the shape {array.shape}; expected a column (N,); give {remedy}"
         )
     value, row = _first_word(array)
     if isinstance(value, datetime):  # with a time zone

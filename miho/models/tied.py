@@ -98,8 +98,13 @@ class Ties(Remade):
                 formulas[name] = formula_from(
                     tie, place, names, lambda other: self._resolved(other, formulas, (*above, name))
                 )
-            else:
+            elif isinstance(tie, int | float):
                 formulas[name] = constant(tie)
+            else:
+                raise ValueError(
+                    f"space.{name}.tied: is {tie!r}; expected an expression as text, such as "
+                    "'2 * b'"
+                )
         return formulas[name]
 
     @property
