@@ -96,6 +96,8 @@ class Tracker(Running):
     ) -> None:
         problem = problem.report() if isinstance(problem, Reporting) else problem
         prior = prior.report() if isinstance(prior, Reporting) else prior
+        known = problem if isinstance(problem, Report) else prior
+        noise = known.at.noise if isinstance(known, Report) else None
         if isinstance(problem, Report):
             prior = problem if prior is None else prior
             problem = problem.problem
@@ -105,7 +107,6 @@ class Tracker(Running):
             if given is not None and not isinstance(given, Mapping):
                 raise ValueError(f"{name} is {given!r}; expected a number for each name")
         self.period = float(period)
-        noise = prior.at.noise if isinstance(prior, Report) else None
         self._motion = problem if is_motion(problem) else None
         self._steps: StepRows | None = None
         if self._motion is not None:

@@ -494,6 +494,14 @@ def test_errors_are_sentences(given: dict[str, Any], message: str) -> None:
         Tracker(problem_of(), **given)
 
 
+def test_a_fit_gives_the_noise_whatever_the_prior() -> None:
+    x = np.linspace(0, 1, 20)
+    noisy = miho.fit(lambda x, *, a: a * x, x, 2 * x + 0.1 * (-1.0) ** np.arange(20), {"a": (0, 5)})
+    tracked = Tracker(noisy, prior={"a": (2.1, 0.2)})
+    assert tracked.system.sigma == pytest.approx(0.1, rel=0.1)
+    assert tracked.state.values["a"] == pytest.approx(2.1)
+
+
 def test_errors_of_problems_and_rows() -> None:
     problem = problem_of()
     with pytest.raises(ValueError, match="expected a CurveFit"):
