@@ -315,6 +315,10 @@ def _fall(h: Any, v: Any, *, g: Any) -> Any:
     return v, -g + 0 * h
 
 
+def _raising(t: Any, a: Any, b: Any) -> Any:
+    raise RuntimeError("no first\nor second")
+
+
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no bounds": ({"space": None}, "a has no bounds; give them, for example {'a': \\(0, 10\\)}"),
     "a bound short": ({"space": {"a": (0, 5)}}, "b has no bounds"),
@@ -400,6 +404,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no column": ({"y": "W"}, "y is 'W'; expected values, or the name of a column"),
     "sigma": ({"sigma": -1.0}, "sigma is -1.0; expected a number above 0"),
+    "sigma as a switch": ({"sigma": True}, "sigma is True; expected a number above 0"),
+    "an error of two lines": (
+        {"model": _raising},
+        "_raising raises RuntimeError: no first or second",
+    ),
+    "huge numbers": ({"y": 1e200 * y}, r"column 'y' of decay reaches \S+e\+200, whose square"),
     "sigma 0": ({"sigma": np.zeros(60)}, "is 0 in row 1"),
     "sigma too small": ({"sigma": 1e-200}, "sigma is 1e-200; expected 1e-140 to"),
     "a row's sigma too small": ({"sigma": np.full(60, 1e-200)}, "is 1e-200 in row 1"),

@@ -92,7 +92,7 @@ def data_of(
     units = {**model.inputs, output: model.output}
     sigma = _column_of(x, "sigma", sigma)
     if sigma is not None and not np.ndim(sigma):
-        sigma = float(sigma)
+        sigma = sigma if isinstance(sigma, bool) else float(sigma)  # which CurveFit refuses
     elif sigma is not None:
         name = "sigma"
         while name in columns:

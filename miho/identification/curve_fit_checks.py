@@ -181,10 +181,11 @@ def _check_output_size(problem: CurveFit) -> None:
     """Refuse an output whose squares overflow or underflow."""
     largest = float(np.abs(problem.dataset[problem.dataset.output]).max(initial=0.0))
     if largest and not SMALLEST < largest < LARGEST:
+        value = f"{largest:.3g} {problem.unit}".rstrip()
         raise ValueError(
-            f"column {problem.dataset.output!r} of {problem.dataset.name} reaches {largest:.3g} "
-            f"{problem.unit}, whose square is beyond double precision; choose a unit that gives a "
-            f"largest value between {SMALLEST:g} and {LARGEST:g}"
+            f"column {problem.dataset.output!r} of {problem.dataset.name} reaches {value}, whose "
+            "square is beyond double precision; choose a unit that gives a largest value between "
+            f"{SMALLEST:g} and {LARGEST:g}"
         )
 
 

@@ -159,7 +159,8 @@ class Equations:
             return np.full(count, np.nan)
         except (TypeError, ValueError, AttributeError, LookupError) as error:
             raise ValueError(
-                f"{self.rhs.name}: right-hand side or output raises {type(error).__name__}: {error}"
+                f"{self.rhs.name}: right-hand side or output raises {type(error).__name__}: "
+                f"{' '.join(str(error).split())}"
             ) from error
 
     def _differences(

@@ -287,7 +287,8 @@ class FunctionModel(DifferencedModel):
         """Return a message with the error of the function and the line of its file."""
         line = line_in(error, str(self.source))
         place = f"{self.source}:{line}: {self.name}" if line else self._place
-        return f"{place} raises {type(error).__name__}: {error}{COPY * ('read-only' in str(error))}"
+        message = " ".join(str(error).split())  # in one line
+        return f"{place} raises {type(error).__name__}: {message}{COPY * ('read-only' in message)}"
 
 
 def is_number(value: object) -> bool:
