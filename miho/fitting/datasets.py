@@ -56,7 +56,7 @@ class Groups:
         """All datasets as arrays."""
         X = np.array([column[self.order] for column in inputs_of(model, self.frame).values()])
         y = numbers_in(self.y, self.frame[self.y])[self.order]
-        return Datasets.checked(X, y, self.ends)
+        return Datasets.checked(X, y, self.ends, self.index)
 
 
 class Rows:
@@ -119,15 +119,17 @@ class Datasets:
     """Columns X (p, n) and outputs y (n,) of M concatenated datasets; shared columns are X (p, N).
 
     Dataset k has the rows from ends[k] to ends[k + 1]. If `shared`, all datasets have the same X.
+    `index` has their names, by default numbers from 0.
     """
 
     X: Array
     y: Array
     ends: NDArray[np.int64]
     shared: bool
+    index: Any = None
 
     @classmethod
-    def checked(cls, X: Array, y: Array, ends: NDArray[np.int64]) -> Datasets:
+    def checked(cls, X: Array, y: Array, ends: NDArray[np.int64], index: Any = None) -> Datasets:
         """Datasets from arrays; columns that are equal in all of them are shared.
 
         Raises ValueError for values that are not finite.
@@ -142,11 +144,12 @@ class Datasets:
             bad = ~np.isfinite(values)
             if bad.any():
                 k = np.searchsorted(ends, np.flatnonzero(bad)[0], side="right") - 1
+                name = k if index is None else index[k]
                 raise ValueError(
-                    f"dataset {k}: a value is not finite; remove its row, or its dataset"
+                    f"dataset {name}: a value is not finite; remove its row, or its dataset"
                 )
         X, y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
-        return cls(X, y, np.ascontiguousarray(ends, dtype=np.int64), bool(shared))
+        return cls(X, y, np.ascontiguousarray(ends, dtype=np.int64), bool(shared), index)
 
     def __len__(self) -> int:
         return len(self.ends) - 1
@@ -173,7 +176,8 @@ class Datasets:
             try:
                 signed.check_data(own, self.y[rows], convention, ranges, largest)
             except ValueError as error:
-                raise ValueError(f"dataset {k}: {error}") from None
+                name = k if self.index is None else self.index[k]
+                raise ValueError(f"dataset {name}: {error}") from None
         columns = dict(zip(model.inputs, self.X, strict=True))
         columns, y = signed.converted(columns, self.y, convention)
         return replace(self, X=np.array([*columns.values()]), y=y)
