@@ -395,6 +395,16 @@ def test_a_pickled_part_keeps_what_all_parts_know() -> None:
     pd.testing.assert_frame_equal(copy.parameters, part.parameters)
 
 
+def test_a_column_of_one_part_may_be_a_parameter_of_another_one() -> None:
+    v = np.linspace(1, 2, 20)
+    parts = {
+        "drag": (lambda v, c: c * v**2, {"v": v}, 0.3 * v**2, 0.1),
+        "speed": (lambda t, v: v * t, {"t": t}, 5.0 * t, 0.1),
+    }
+    fit = miho.fit_joint(parts, {"c": (0, 1), "v": (0, 10)})
+    assert fit.values == pytest.approx({"c": 0.3, "v": 5.0})
+
+
 def test_a_joint_fit_descends_from_a_start() -> None:
     """Two lines in closed form; without bounds, sigma estimated or known."""
     rng = np.random.default_rng(0)

@@ -175,9 +175,11 @@ def _measured(
             f"{type(fields).__name__}{size}"
         )
     part = Part(*fields)
+    # A parameter of one part may be a column of the function of another one.
+    stated = [largest] if isinstance(part.model, Model) else ()
     try:
         dataset, model, sigma = data_of(
-            part.model, part.x, part.y, part.sigma, missing, part.convention, part.ranges, [largest]
+            part.model, part.x, part.y, part.sigma, missing, part.convention, part.ranges, stated
         )
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
