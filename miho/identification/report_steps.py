@@ -125,7 +125,7 @@ def make_report(
         standard errors; if `level` is not between 0 and 1; or if a problem with priors has
         `replicates`.
     """
-    if not 0 < level < 1:
+    if not isinstance(level, float | np.floating) or not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected a number between 0 and 1, for example 0.95")
     if replicates and problem.prior is not None:
         raise ValueError(

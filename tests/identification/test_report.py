@@ -378,8 +378,11 @@ def test_leaving_a_load_out_is_a_fit_without_it() -> None:
 def test_the_level_and_the_seed() -> None:
     problem = puromycin()
     theta = refit(problem, np.array([200.0, 0.1])).theta
-    with pytest.raises(ValueError, match=r"level is 95"):
-        make_report(problem, theta, level=95)
+    for level in (95, "0.9"):
+        with pytest.raises(
+            ValueError, match=f"level is {level!r}; expected a number between 0 and"
+        ):
+            make_report(problem, theta, level=level)
     first, again, other_seed = (
         make_report(problem, theta, replicates=5, profiles=False, seed=seed).replicates
         for seed in (0, 0, 1)
