@@ -232,6 +232,35 @@ def test_a_fit_is_pickled_printed_and_drawn() -> None:
     assert fit.report().parameters["value"].tolist() == pytest.approx(list(fit.values.values()))
 
 
+def test_start_and_fixed_values_may_be_a_series() -> None:
+    fit = miho.fit(decay, t, y, BOX, compiled=False)
+    again = miho.fit(decay, t, y, start=fit.parameters["value"], compiled=False)
+    assert again.values == pytest.approx(fit.values, rel=DIGITS)
+    assert miho.fit(decay, t, y, BOX, fixed=pd.Series({"a": 1.0})).values["a"] == 1.0
+    with pytest.raises(ValueError, match="start is a b 0 1 2; give its values by name"):
+        miho.fit(decay, t, y, start=pd.DataFrame({"a": [1], "b": [2]}))
+
+
+def test_a_dataset_gives_columns_and_units() -> None:
+    data = miho.Dataset("cells", {"t": t, "V": y}, {"t": "s", "V": "V"}, "V")
+    fit = miho.fit(decay, data, "V", BOX)
+    assert fit.values == pytest.approx(miho.fit(decay, t, y, BOX).values, rel=1e-8)
+    assert fit.plot().axes[0].get_ylabel() == "V [V]"
+    assert fit.predict(data).value.shape == t.shape
+
+    def in_minutes(t, *, a, b):
+        return decay(t, a, b)
+
+    in_minutes.__annotations__ = {"t": "'min'"}  # as text of the source
+    with pytest.raises(ValueError, match=r"column 't' of .* has unit 's'; model .* 'min'"):
+        miho.fit(in_minutes, data, "V", BOX)
+
+
+def test_a_model_without_a_value_near_the_start_is_not_blamed_on_a_row() -> None:
+    with pytest.raises(ValueError, match="in any trial of the space; change the bounds or the sta"):
+        miho.fit(lambda t, a, b: a * np.log(b * t + 1e-3), t, y, start={"a": 1, "b": -1})
+
+
 def test_a_pandas_column_gives_the_output_its_name() -> None:
     fit = miho.fit(decay, t, pd.Series(y, name="voltage"), BOX, compiled=False)
     assert fit.plot().axes[0].get_ylabel() == "voltage"

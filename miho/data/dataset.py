@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -128,6 +128,10 @@ class Dataset:
 
     def __len__(self) -> int:
         return self.columns[self.output].size
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the columns, as of a mapping."""
+        return iter(self.columns)
 
     def __getitem__(self, column: str) -> Array:
         """The column of that name, (N,)."""

@@ -37,12 +37,18 @@ MISSING = ("raise", "drop")
 """The treatment of rows with a missing number."""
 
 
-def check_named(**arguments: object) -> None:
-    """Raise ValueError unless each of start, fixed and tied is None or has its values by name."""
-    for label, values in arguments.items():
-        if values is not None and not isinstance(values, Mapping):
-            example = {"a": "2 * b"} if label == "tied" else {"a": 1}
-            raise ValueError(f"{label} is {values!r}; give its values by name, as in {example}")
+def by_label(label: str, values: Any) -> Mapping[str, Any] | None:
+    """Start, fixed or tied values by name; a pandas Series becomes a mapping.
+
+    Raises ValueError for anything else.
+    """
+    if values is None or isinstance(values, Mapping):
+        return values
+    if hasattr(values, "to_dict") and hasattr(values, "index") and np.ndim(values) == 1:
+        return dict(values.to_dict())
+    example = {"a": "2 * b"} if label == "tied" else {"a": 1}
+    shown = " ".join(repr(values).split())
+    raise ValueError(f"{label} is {shown}; give its values by name, as in {example}")
 
 
 def data_of(
@@ -90,6 +96,8 @@ def data_of(
         output += "_"
     columns = {**inputs, output: values}
     units = {**model.inputs, output: model.output}
+    if isinstance(x, Dataset):
+        units = {name: x.units.get(name) or unit for name, unit in units.items()}
     sigma = _column_of(x, "sigma", sigma)
     if sigma is not None and not np.ndim(sigma):
         sigma = sigma if isinstance(sigma, bool) else float(sigma)  # which CurveFit refuses

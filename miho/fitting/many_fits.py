@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import check_named, data_of, space_of
+from miho.fitting.arguments import by_label, data_of, space_of
 from miho.fitting.datasets import Groups, Rows
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
@@ -108,7 +108,8 @@ def fit_many(
     1  2.0  1.5       True
     2  3.0  1.5       True
     """
-    check_named(start=start, fixed=fixed, tied=tied)
+    start, fixed = by_label("start", start), by_label("fixed", fixed)
+    tied = by_label("tied", tied)
     parts = Rows(x, y) if by is None else Groups(x, y, by)
     stated = convention, ranges, (space, tied, start, fixed)
 

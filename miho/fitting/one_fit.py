@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from miho.fitting.arguments import DENSE, check_named, data_of, space_of
+from miho.fitting.arguments import DENSE, by_label, data_of, space_of
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import by_calls, check_repeats, searched, spread, title
 from miho.identification.curve_fit import CurveFit
@@ -67,7 +67,7 @@ def fit(
         annotations of a function are units. A tire from `miho.load_tir`, or the path of its
         property file, is also a model, of Fx, Fy or Mz as named by `y`; its coefficients are free
         if they have bounds or a start.
-    x : array_like, tuple, mapping or DataFrame
+    x : array_like, tuple, mapping, DataFrame or Dataset
         Input columns, (N,) each: one column, a tuple of columns, or columns by name.
     y : array_like of shape (N,) or str
         Measured output, or the name of its column in `x`.
@@ -173,7 +173,8 @@ def fit(
 
         check_start(start, journal)
         start = None
-    check_named(start=start, fixed=fixed, tied=tied)
+    start, fixed = by_label("start", start), by_label("fixed", fixed)
+    tied = by_label("tied", tied)
     fixed, tied = fixed or {}, tied or {}
     if not callable(model) and not isinstance(model, Model):
         from miho.fitting.protocols import model_from

@@ -218,12 +218,10 @@ def _is_finite(problem: CurveFit, model_name: str, thetas: Array) -> bool:
             f"{name} = {column[never[0]]:g}"
             for name, column in zip(model.inputs, problem.inputs, strict=True)
         )
-        where = f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name})"
+        remedy = "take shorter steps" if model.ordered else "remove the row"
         raise ValueError(
-            f"{where} in any trial of the space; narrow the bounds, take shorter steps or correct "
-            "the model"
-            if model.ordered
-            else f"{where}, whatever its parameters; remove the row or correct the model"
+            f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}) in "
+            f"any trial of the space; change the bounds or the start, {remedy} or correct the model"
         )
     return True
 

@@ -410,7 +410,9 @@ def test_a_part_of_a_joint_fit_may_diverge_far_from_the_optimum() -> None:
     x = np.exp(-2 * t) + 1e-3 * np.random.default_rng(0).standard_normal(t.size)
     fit = miho.fit_joint({"a": (decay, t, x), "b": (decay, t[:100], x[:100])}, {"k": (0.1, 10)})
     np.testing.assert_allclose(fit.part("b").predict(t[:3]).value, np.exp(-2 * t[:3]), atol=0.01)
-    with pytest.raises(ValueError, match="in any trial of the space; narrow the bounds"):
+    with pytest.raises(
+        ValueError, match="in any trial of the space; change the bounds or the start, take"
+    ):
         miho.fit(decay, t, x, {"k": (300, 400)})
 
 
