@@ -25,13 +25,12 @@ def engines() -> list[str]:
 
 
 @contextmanager
-def started(engine: str, size: int) -> Iterator[tuple[Pool, float]]:
-    """Yield a pool whose `size` workers have all started, and the seconds of their start.
+def started(engine: str, size: int) -> Iterator[Pool]:
+    """Yield a pool whose `size` workers have all started.
 
     Raises RuntimeError if the workers do not start.
     """
     with ExitStack() as stack:
-        began = time.perf_counter()
         if engine == PROCESSES:
             executor = ProcessExecutor(size)
             stack.callback(executor.shutdown)
@@ -41,7 +40,7 @@ def started(engine: str, size: int) -> Iterator[tuple[Pool, float]]:
         if pool is None:
             raise RuntimeError(f"{engine} gives no pool of {size}")
         _start_all(pool)
-        yield pool, time.perf_counter() - began
+        yield pool
 
 
 def _start_all(pool: Pool) -> None:

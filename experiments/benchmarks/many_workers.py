@@ -65,7 +65,7 @@ class Job(NamedTuple):
 
 def measured_overhead() -> float:
     """Seconds of the client per task, measured with empty evaluations that are all sent."""
-    with started(PROCESSES, 2) as (pool, _):
+    with started(PROCESSES, 2) as pool:
         evaluations = Evaluations(pool, limited=True)
         ended = search(
             RandomSearch(batch=TASKS), Sleeping(Lengths(0.0)), evaluations,
@@ -107,7 +107,7 @@ def growth(
         for name in METHODS
         for seed in range(seeds)
     ]
-    with started(PROCESSES, os.cpu_count() or 1) as (pool, _):
+    with started(PROCESSES, os.cpu_count() or 1) as pool:
         # the jobs as indices: only the function may come from the main module
         rows = pool.map(lambda k: simulated(jobs[k], spreads[jobs[k].spread]), range(len(jobs)))
         return list(shown(rows))
@@ -118,7 +118,7 @@ def checked(
 ) -> Iterator[dict[str, Any]]:
     """A row for each method, number of workers and spread: seconds of real and virtual workers."""
     for size in REAL_SIZES[3:4] if quick else REAL_SIZES:
-        with started(PROCESSES, size) as (pool, _):
+        with started(PROCESSES, size) as pool:
             for spread, form in spreads.items():
                 lengths = replace(form, mean=REAL_SECONDS)
                 for name, optimizer in SMALL.items():

@@ -4,22 +4,16 @@ python -m experiments.benchmarks.overhead [--quick] [--output FOLDER]
 
 The cost of the recorder is the difference between calls of `Oracle` and direct calls of the loss.
 Its bar is for batches of 10 and more in which no row improves; single rows and improvements cost
-more. Each library of workers runs 1,000 tasks that return their argument, with two workers; the
-start of the workers is measured separately, up to the end of their first tasks. The median of
-several turns counts. A note names each library that is not installed. Optuna runs its trials in
-threads.
+more. Processes and Dask run 1,000 tasks that return their argument, with two workers, which
+start before. The median of several turns counts.
 """
 
 from __future__ import annotations
 
-import importlib
 import operator
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, wait
-from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -32,10 +26,8 @@ from miho.quantities import Array
 
 BATCHES = (1, 10, 100, 1000)
 TASKS, WORKERS, TURNS = 1000, 2, 5
-LIMITS = {"miho, processes": 1.0, "miho, Dask": 3.0}
+LIMITS = {PROCESSES: 1.0, DASK: 3.0}
 """Seconds of all tasks."""
-Run = Callable[[int], object]
-"""Runs a number of empty tasks."""
 
 
 class Prepared(Problem):
@@ -79,87 +71,35 @@ def recorder(repeats: int) -> Iterator[tuple[str, float]]:
             yield name, (seconds["record"] - seconds["shift"]) / batch
 
 
-@contextmanager
-def pool(engine: str) -> Iterator[Run]:
-    """Workers as in searches: calls of a shared function, with retries and measured times."""
-    with started(engine, WORKERS) as (workers, _):
-        yield lambda count: list(workers.map(operator.pos, range(count)))
-
-
-@contextmanager
-def executor() -> Iterator[Run]:
-    """The executor of `concurrent.futures`."""
-    with ProcessPoolExecutor(WORKERS) as workers:
-        yield lambda count: wait([workers.submit(operator.pos, k) for k in range(count)])
-
-
-@contextmanager
-def loky() -> Iterator[Run]:
-    """joblib's default."""
-    joblib = importlib.import_module("joblib")
-    with joblib.Parallel(n_jobs=WORKERS) as parallel:
-        yield lambda count: parallel(joblib.delayed(operator.pos)(k) for k in range(count))
-
-
-@contextmanager
-def optuna() -> Iterator[Run]:
-    """Random trials without a suggestion."""
-    library = importlib.import_module("optuna")
-    library.logging.set_verbosity(library.logging.ERROR)
-    study = library.create_study(sampler=library.samplers.RandomSampler(0))
-    yield lambda count: study.optimize(lambda trial: 0.0, n_trials=count, n_jobs=WORKERS)
-
-
-FORMS: dict[str, Callable[[], AbstractContextManager[Run]]] = {
-    "miho, processes": partial(pool, PROCESSES),
-    "miho, Dask": partial(pool, DASK),
-    "concurrent.futures": executor,
-    "joblib (loky)": loky,
-    "Optuna (threads)": optuna,
-}
-LIBRARIES = {"joblib (loky)": "joblib", "Optuna (threads)": "optuna"}
-
-
-def tasks(name: str, turns: int) -> dict[str, Any]:
-    """Seconds of a start, and of all tasks."""
-    began, seconds = time.perf_counter(), []
-    with FORMS[name]() as run:
-        run(WORKERS)
-        start = time.perf_counter() - began
+def tasks(engine: str, turns: int) -> float:
+    """Seconds of all tasks, as in searches: calls of a shared function with retries and times."""
+    seconds = []
+    with started(engine, WORKERS) as workers:
         for _ in range(turns):
             began = time.perf_counter()
-            run(TASKS)
+            list(workers.map(operator.pos, range(TASKS)))
             seconds.append(time.perf_counter() - began)
-    return {"name": f"a task, {name}", "seconds": np.median(seconds) / TASKS, "start": start}
+    return float(np.median(seconds))
 
 
 def measure(quick: bool) -> Measured:
-    """Measure the recorder, then the tasks of each library."""
+    """Measure the recorder, then the tasks of each kind of workers."""
     rows: list[dict[str, Any]] = [
-        {"name": name, "seconds": seconds} for name, seconds in recorder(5 if quick else 20)
+        {"name": name, "us": 1e6 * seconds} for name, seconds in recorder(5 if quick else 20)
     ]
-    worst = max(row["seconds"] for row in rows[2:] if "none" in row["name"])
+    worst = max(row["us"] for row in rows[2:] if "none" in row["name"])
     name = "recorder per evaluation, batches of 10+, none improve"
-    bars, notes, versions = [Bar(name, 1e6 * worst, AT_MOST, 1.0, "us")], [], {}
-    for form in FORMS:
-        if form == "miho, Dask" and DASK not in engines():
-            notes.append(f"left out: {form}, which is not installed (extra cluster)")
-            continue
-        try:
-            rows.append(tasks(form, 2 if quick else TURNS))
-        except ModuleNotFoundError as error:
-            notes.append(f"left out: {form}, which is not installed ({error})")
-            continue
-        if form in LIBRARIES:
-            versions[LIBRARIES[form]] = version(LIBRARIES[form])
-        if form in LIMITS:
-            seconds = TASKS * rows[-1]["seconds"]
-            name = f"{TASKS:,} tasks of nothing, {form}"
-            bars.append(Bar(name, seconds, AT_MOST, LIMITS[form], "s"))
+    bars, notes = [Bar(name, worst, AT_MOST, 1.0, "us")], []
+    for engine in engines():
+        seconds = tasks(engine, 2 if quick else TURNS)
+        rows.append({"name": f"a task, {engine}", "us": 1e6 * seconds / TASKS})
+        name = f"{TASKS:,} tasks of nothing, {engine}"
+        bars.append(Bar(name, seconds, AT_MOST, LIMITS[engine], "s"))
+    if DASK not in engines():
+        notes.append("left out: Dask, which is not installed (extra cluster)")
     frame = pd.DataFrame(rows)
-    frame.insert(1, "us", 1e6 * frame.pop("seconds"))
-    facts = {"tasks": TASKS, "workers": WORKERS, "versions": versions, "seed": None}
-    return Measured(frame.astype(object).fillna(""), frame, bars, notes, facts)
+    facts = {"tasks": TASKS, "workers": WORKERS, "seed": None}
+    return Measured(frame, frame, bars, notes, facts)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Quantitative checks of methods, models and tables: `python -m experiments.check.NAME`.
 
-aa                  the statistics of the arena find no difference between a method and itself
 coefficients        writes the constants of the elementary functions
 coverage            coverage of 95 % intervals
 false_ends          how often `miho_gn` agrees on a wrong optimum

@@ -210,9 +210,8 @@ def pairwise_speed_up(
     replacement (all problems of a family together, if `families` is given), and then the runs of
     each drawn problem, with the same seeds for all methods. The interval is for problems like
     these, not for these problems. Observed problems vary by their runs already, so runs count
-    twice: between two names of one method (16 problems, 10 runs), 99 % of the intervals contain the
-    truth, while drawing problems or runs alone gives 89 and 92 %. In a resample only problems that
-    both methods solve count.
+    twice, and the interval is wider than necessary. In a resample only problems that both methods
+    solve count.
 
     Parameters
     ----------
