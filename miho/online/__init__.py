@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
-    from miho.online.calibration import Calibration
     from miho.online.method import OnlineMethod, Running
     from miho.online.motion import one_step
     from miho.online.settings import TrackerSettings
@@ -14,7 +13,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Alarm",
-    "Calibration",
     "Mixture",
     "OnlineMethod",
     "Running",
@@ -24,4 +22,6 @@ __all__ = [
     "one_step",
 ]
 
-__getattr__, __dir__ = at_first_use(__name__)
+__getattr__, __dir__ = at_first_use(
+    __name__, {"Calibration": "intervals need no scale, and `threshold` sets the alarm's odds"}
+)

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -94,11 +93,6 @@ class Population:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return all that changes; the form in the machine is created again."""
         return _population, (self.layout, self.rules, self.formula, self.memory.copy())
-
-    def with_threshold(self, threshold: float) -> Population:
-        """Return the same population with another threshold of the alarm."""
-        rules = replace(self.rules, threshold=threshold)
-        return _population(self.layout, rules, self.formula, self.memory)
 
     def __getitem__(self, name: str) -> float:
         return float(self.numbers[PLACE[name]])

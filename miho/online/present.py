@@ -42,7 +42,7 @@ def present_parameters(
     """
     places = [system.names.index(name) for name in output.parameters]
     theta, ends = state.theta[places], state.intervals(level)[places]
-    covariance = state.scale**2 * state.covariance[np.ix_(places, places)]
+    covariance = state.covariance[np.ix_(places, places)]
     model, columns = output.model.whole, output.columns
     if motion is not None and [*motion.model.whole.parameters] == [*model.parameters]:
         model, columns = motion.model.whole, motion.dataset.columns

@@ -198,8 +198,6 @@ class TrackerState:
         Duration of the update [s].
     mixture : Mixture or None
         The distribution of the parameters; None for a normal one.
-    scale : float
-        Factor of the intervals from `Tracker.calibrate`.
     bounds : tuple of ndarray, optional
         Lower and upper bounds (d,) each, which limit the intervals.
     """
@@ -214,7 +212,6 @@ class TrackerState:
     rows: int = 0
     seconds: float = 0.0
     mixture: Mixture | None = None
-    scale: float = 1.0
     bounds: tuple[Array, Array] | None = None
 
     def __repr__(self) -> str:
@@ -230,7 +227,7 @@ class TrackerState:
     @cached_property
     def deviations(self) -> Array:
         """Standard deviations of the estimates (d,)."""
-        return np.asarray(self.scale * np.sqrt(np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
     def intervals(self, level: float = 0.95) -> Array:
         """Return the intervals of the parameters.
@@ -254,7 +251,7 @@ class TrackerState:
         if self.mixture is None:
             reach = float(scipy.special.ndtri((1 + level) / 2)) * self.deviations
         else:
-            reach = self.scale * mixture_reach(self.theta, self.mixture, level)
+            reach = mixture_reach(self.theta, self.mixture, level)
         ends = np.stack([self.theta - reach, self.theta + reach], axis=1)
         return ends if self.bounds is None else np.clip(ends.T, *self.bounds).T
 

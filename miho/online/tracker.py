@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from collections.abc import Mapping
@@ -14,7 +13,6 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.identification.report import Report, Reporting
 from miho.models.identified import Identified
-from miho.online.calibration import Calibration, calibration, fitted_to
 from miho.online.informative import InformativeRows
 from miho.online.method import Problems, Rows, Running, rows_of
 from miho.online.motion import StepRows, is_motion, one_step
@@ -124,7 +122,6 @@ class Tracker(Running):
         self.columns = (*deviations, *(n for n in self.system.inputs if n not in deviations))
         theta, covariance = start_of(self.system, prior)
         self._rules = rules_of(self.settings, self.system, theta, covariance, changes, deviations)
-        self._scale = 1.0
         formula = row_formula(self.system, self.columns, self._rules.noise)
         d, m, n = len(self.system.names), len(self.system.outputs), len(states)
         layout = Layout(self.settings.slots, d, m, len(self.columns), len(deviations), n)
@@ -247,46 +244,6 @@ class Tracker(Running):
         own = self._output(output)
         return present_parameters(self.system, own, self.state, level, self._motion)
 
-    def calibrate(self, rows: Rows) -> Calibration:
-        """Set the scale of intervals and the threshold of the alarm from a quiet record.
-
-        Errors of neighbouring rows may depend on each other, for example if the model leaves out an
-        effect that lasts: intervals for independent errors are then too narrow.
-        The scale compares the estimates of the watched parameters with the best fit of the record,
-        in which nothing may change. The threshold is at least the record's largest odds plus 1.
-
-        Parameters
-        ----------
-        rows : Dataset or mapping of str
-            A record that is long compared with the memory of the tracker: a minute or more.
-
-        Returns
-        -------
-        Calibration
-            Scale and threshold, which the tracker now uses. Its parameters do not change.
-
-        Raises
-        ------
-        ValueError
-            If the record does not inform a watched parameter.
-        """
-        trial = copy.copy(self)
-        trial._population = copy.copy(self._population)
-        trial._informative = copy.deepcopy(self._informative)
-        trial._scale, trial._steps = 1.0, None
-        if self._steps is not None:
-            rows = self._steps.anew().take(rows)
-        numbers, population = self._rows(rows), self._population
-        columns = [*self._names, TIME]
-        states = [trial.update(dict(zip(columns, row, strict=True))) for row in numbers.tolist()]
-        theta, covariance = self.state.theta, self.state.covariance
-        best = fitted_to(numbers, population.formula, self._rules, theta, covariance)
-        found = calibration(states, best, self._rules.watched > 0, self.settings.threshold)
-        self._scale = found.scale
-        self._population = population.with_threshold(found.threshold)
-        self._state = replace(self.state, scale=found.scale)
-        return found
-
     def _output(self, column: str | None) -> Output:
         outputs = {output.column: output for output in self.system.outputs}
         if column is not None and column not in outputs:
@@ -313,6 +270,5 @@ class Tracker(Running):
             rows=int(population["row"]),
             seconds=seconds,
             mixture=mixture,
-            scale=self._scale,
             bounds=self._bounds,
         )

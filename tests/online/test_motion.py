@@ -250,13 +250,6 @@ def test_problems_without_a_step_are_refused() -> None:
         Tracker(problem).update({"time": 0.0, "x": 1.0})
 
 
-def test_a_quiet_record_calibrates_without_a_step_into_it() -> None:
-    tracker, other, rows = car_tracker(), car_tracker(), drive(2.0)
-    calibration = tracker.calibrate(drive(22.0))
-    assert 0 < calibration.scale < 1  # the noise of a state is in two rows
-    np.testing.assert_array_equal(tracker.update(rows).theta, other.update(rows).theta)
-
-
 @pytest.mark.parametrize("by_machine", [True, False])
 def test_after_an_outlier_a_state_is_half_way(by_machine: bool) -> None:
     """Either the measured value or the predicted one is wrong: the two are one deviation away."""

@@ -405,21 +405,6 @@ def test_tied_and_fixed_parameters_follow() -> None:
     assert present["D"].value == run.state.values["D"]
 
 
-def test_calibration_keeps_parameters() -> None:
-    quiet = {name: np.tile(column[:500], 3) for name, column in tire(7, fall=0.0).items()}
-    rng = np.random.default_rng(8)
-    quiet["y"] = force(quiet["slip"], B=12.0, D=1.0) + SIGMA * rng.standard_normal(1500)
-    del quiet["time"]
-    run = tracker()
-    followed(run, tire(7, fall=0.0), slice(0, 400))
-    before = run.state
-    found = run.calibrate(quiet)
-    assert found.scale > 0 and found.threshold >= 3
-    assert run.state.values == before.values
-    reach, plain = (np.diff(state.intervals())[:, 0] for state in (run.state, before))
-    np.testing.assert_allclose(reach, found.scale * plain, rtol=1e-9)
-
-
 def test_settings_start_trackers() -> None:
     settings = TrackerSettings(hazard=2e-3)
     assert isinstance(settings, OnlineMethod)
@@ -547,8 +532,6 @@ def test_errors_of_problems_and_rows() -> None:
         run.dataset()
     with pytest.raises(ValueError, match="output is 'z'; expected one of y"):
         run.dataset("z")
-    with pytest.raises(ValueError, match="calibrate: 900 rows; expected at least 1000"):
-        run.calibrate(tire())
 
 
 def test_a_model_with_memory_is_refused() -> None:
