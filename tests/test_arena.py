@@ -255,7 +255,7 @@ def compare(*overrides: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
+def test_an_arena_draws_and_resumes(tmp_path: Path) -> None:
     root = tmp_path / "runs"
     overrides = [*ARENA, *METHODS, PROBLEMS, f"root={root}"]
     first = compare(*overrides)

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from miho.analysis.compare.claims import claims_table
     from miho.analysis.compare.leaderboard import leaderboard, results_table
     from miho.analysis.curves import on_grid, summary
-    from miho.analysis.export import write_csv
     from miho.analysis.figures.design import design_figure
     from miho.analysis.figures.engine import fig5
     from miho.analysis.figures.house import save
@@ -23,13 +22,14 @@ if TYPE_CHECKING:
 __all__ = [
     "claims_table", "design_figure", "fig4", "fig5", "fig6", "leaderboard", "on_grid",
     "plot_error_over", "plot_tires", "results_table", "save", "save_report", "save_sweep_page",
-    "summary", "to_markdown", "write_csv",
+    "summary", "to_markdown",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(
     __name__,
     {
-        "write_ioh": "use `write_csv`; IOHanalyzer reads its curves.csv as a custom CSV file",
+        "write_csv": "use `miho.load_runs(root).runs.to_csv(file, index=False)`",
+        "write_ioh": "IOHanalyzer reads the table `curves` of `load_runs` as a custom CSV file",
         "write_parquet": "use `DataFrame.to_parquet`, with the package pyarrow",
     },
 )

@@ -50,7 +50,9 @@ class Runs:
         `optimizer.R` or `dataset.n`. `error` is the square root of the loss in `unit`,
         `irreducible` an estimate of the smallest error of any model of the same inputs, `optimum`
         the smallest error in the space if it is known (else NaN), `dimension` the number of
-        parameters and `theta.<name>` their values.
+        parameters and `theta.<name>` their values. `seconds` and `cpu_seconds` are of the method
+        alone, without `setup_seconds` of imports and tracing; `timing_valid` says whether the
+        machine was quiet enough to compare seconds.
     curves : DataFrame
         One row per improvement and one at the end of each run (a step function), with the same
         columns of settings.

@@ -15,7 +15,7 @@ import pytest
 
 from experiments.app.console import BAD_INPUT
 from miho import load_runs
-from miho.analysis.export import write_csv
+from miho.analysis.text import csv_text
 from miho.data import load_csv, load_mat
 from miho.models import load_function, read_parameters
 from miho.models.identified import Identified, UncheckedWarning, Value, parameters_text
@@ -36,11 +36,11 @@ FORMULAS = ("=1+1", "+1+1", "-1+1", "@SUM(1)")
 @pytest.mark.fault(
     row="R24",
     fault=f"{FLIPS} bit flips of .mat files, packed and not, and of parameters.json; pipes and "
-    "devices as files; YAML of 9^7 aliases, 3,000 deep, holding itself; CSV export of formulas",
+    "devices as files; YAML of 9^7 aliases, 3,000 deep, holding itself; formulas in CSV",
     promise=f"no crash, nothing above {WAIT:g} s, no wrong number, one line, no formula",
 )
 def test_received_files(tmp_path: Path, measured: Figures) -> None:
-    """Flip bits, name devices, read what expands, and export what a table would calculate."""
+    """Flip bits, name devices, read what expands, and write names that a table would calculate."""
     prepare()
     ends, slowest = flip_bits(tmp_path, FLIPS)
     harmless = ends["refused"] + ends["as it was"]
@@ -51,7 +51,7 @@ def test_received_files(tmp_path: Path, measured: Figures) -> None:
     measured(
         f".mat: {harmless} of {ends.total()} flips refused or harmless, the slowest in "
         f"{slowest:.2f} s; parameters.json: {unseen} wrong numbers; "
-        f"not refused in time: {', '.join([*slow, *bombs]) or 'none'}; {cells} formulas exported"
+        f"not refused in time: {', '.join([*slow, *bombs]) or 'none'}; {cells} formulas in CSV"
     )
     assert harmless == ends.total() >= FLIPS
     assert slowest < WAIT
@@ -137,8 +137,8 @@ def _refused(read: Callable[[], object]) -> bool:
 
 
 def _formulas(folder: Path) -> int:
-    """How many cells of exported tables begin like a formula."""
-    root, out = folder / "runs", folder / "out"
+    """How many cells of tables in CSV begin like a formula."""
+    root = folder / "runs"
     for seed, name in enumerate(FORMULAS):
         execute(
             Store(root), Identity("decay", "random", seed, {}, "c0de", "da7a"),
@@ -146,12 +146,10 @@ def _formulas(folder: Path) -> int:
             DecayFit.space, {"unit": name},
         )  # fmt: skip
     stored = load_runs(root)
-    out.mkdir()
-    write_csv(stored.runs, stored.curves, out)
     cells = [
         cell.strip('"')
-        for path in out.glob("*.csv")
-        for line in path.read_text(encoding="utf-8").splitlines()
+        for table in (stored.runs, stored.curves)
+        for line in csv_text(table).splitlines()
         for cell in line.split(",")
     ]
     return sum(cell.startswith(FORMULAS) for cell in cells)
