@@ -263,25 +263,9 @@ def ert_table(
     """Expected running time to `factor` times the optimum, by method and problem.
 
     Darker cells are faster, and the last line is the cost of the best method of each problem, in
-    evaluations.
-
-    Parameters
-    ----------
-    ert : DataFrame
-        As from `expected_running_time`.
-    factor : float
-        Target, as a multiple of the optimum.
-    order : DataFrame, optional
-        Optimizer and rank, which order the methods and are printed, for example the ranks of the
-        leaderboard. By default the ranks of the running times; infinite times on a problem share
-        the last rank.
-    note : str
-        Text below the figure.
-
-    Returns
-    -------
-    Figure
-        The table.
+    evaluations. `ert` is as from `expected_running_time`. `order` has the columns optimizer and
+    rank, which order the methods and are printed, for example the ranks of the leaderboard. By
+    default it is the ranks of the running times; infinite times on a problem share the last rank.
     """
     rows = at_factor(ert, factor)
     methods = rows["optimizer"].nunique()

@@ -97,21 +97,9 @@ def reading_claims(
 ) -> pd.DataFrame:
     """`claims_table` of one reading, with rows for the seconds of each kind of cost.
 
-    A reading represents the paper's methods at their size, whatever its settings.
-
-    Parameters
-    ----------
-    runs, curves : DataFrame
-        As from `frames_of`.
-    costs : mapping of str to mapping of str to float
-        For each kind, for example "interpreted", the seconds of an evaluation of each method.
-    resamples : int
-        Bootstrap resamples.
-
-    Returns
-    -------
-    DataFrame
-        See `claims_table`.
+    A reading represents the paper's methods at their size, whatever its settings. The frames are as
+    from `frames_of`. `costs` has, for each kind, for example "interpreted", the seconds of an
+    evaluation of each method.
     """
     tables, of_speeds = [], without_slow_descents(runs, curves)
     for kind, seconds in costs.items():

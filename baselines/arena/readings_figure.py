@@ -21,18 +21,8 @@ TITLE_WIDTH = 34
 def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> Figure:
     """Mean error of the paper's five methods over evaluations, a panel per reading.
 
-    Parameters
-    ----------
-    readings : mapping of str to DataFrame
-        For the words of each reading its curves, as from
-        `baselines.arena.readings.frames_of`. Errors are in N and drawn in kN.
-    note : str
-        Small text below the panels.
-
-    Returns
-    -------
-    Figure
-        The panels.
+    `readings` has the curves of each reading by its words, as from
+    `baselines.arena.readings.frames_of`. Errors are in N and drawn in kN.
     """
     rows = -(-len(readings) // COLUMNS)
     curves = pd.concat(readings.values(), ignore_index=True)

@@ -135,15 +135,7 @@ def bicycle(
 def bicycle_problem(estimate: Array) -> tuple[CurveFit, ...]:
     """Return the fits of vx, vy and yaw rate one step later; their rows are at 20 m/s.
 
-    Parameters
-    ----------
-    estimate : ndarray, shape (4,)
-        Offline estimate, which makes the rows.
-
-    Returns
-    -------
-    tuple of CurveFit
-        Model, bounds and noise of each output.
+    The offline `estimate` (4,) makes the rows.
     """
     slip = np.linspace(-0.12, 0.12, 25)
     inputs = {"vx": np.full(25, 20.0), "vy": -20 * slip, "yaw_rate": np.zeros(25),
@@ -167,25 +159,12 @@ def bicycle_problem(estimate: Array) -> tuple[CurveFit, ...]:
 def accelerations(
     state: Motion, steering: Any, drive: Any, theta: Sequence[Any], functions: Functions
 ) -> Motion:
-    """Return the rates of vx, vy and yaw rate.
+    """Return the rates of vx, vy [m/s^2] and yaw rate [rad/s^2].
 
-    Parameters
-    ----------
-    state : tuple
-        vx, vy [m/s] and yaw rate [rad/s]: numbers, arrays or symbols, as for all arguments.
-    steering : float
-        Angle of the front wheels [rad].
-    drive : float
-        Driving force over the mass [m/s^2].
-    theta : sequence
-        B_f [1/rad], D_f [-], B_r [1/rad], D_r [-].
-    functions : tuple of callable
-        Sine, cosine and arc tangent of the arguments.
-
-    Returns
-    -------
-    tuple
-        Rates of vx, vy [m/s^2] and yaw rate [rad/s^2].
+    All arguments are numbers, arrays or symbols. `state` is vx, vy [m/s] and yaw rate [rad/s],
+    `steering` the angle of the front wheels [rad], `drive` the driving force over the mass [m/s^2],
+    `theta` is B_f [1/rad], D_f [-], B_r [1/rad], D_r [-], and `functions` are their sine, cosine
+    and arc tangent.
     """
     vx, vy, yaw_rate = state
     B_f, D_f, B_r, D_r = theta
@@ -265,25 +244,10 @@ class OneStep(TracedExpression):
 def simulated(slip: Array, speed: Array, theta: Array) -> tuple[Array, Array, Array]:
     """Return the motion along slip angles of the front axle and speeds.
 
-    The steering follows the slip angle, at most 0.5 rad; the drive follows the speed.
-
-    Parameters
-    ----------
-    slip : ndarray, shape (N,)
-        Slip angles of the front axle [rad], positive for forces to the left.
-    speed : ndarray, shape (N,)
-        Speeds [m/s].
-    theta : ndarray, shape (N, 4)
-        Parameters of the car in each row.
-
-    Returns
-    -------
-    motion : ndarray, shape (N, 3)
-        vx, vy [m/s] and yaw rate [rad/s].
-    steering : ndarray, shape (N,)
-        Angle of the front wheels [rad].
-    drive : ndarray, shape (N,)
-        Driving force over the mass [m/s^2].
+    The steering follows the slip angle, at most 0.5 rad; the drive follows the speed. `slip` (N,)
+    [rad] is positive for forces to the left, `speed` (N,) is in m/s, and `theta` (N, 4) has the
+    parameters of the car in each row. The results are vx, vy [m/s] and yaw rate [rad/s] (N, 3), the
+    angle of the front wheels [rad] (N,), and the driving force over the mass [m/s^2] (N,).
     """
     motion, steering, drive = np.empty((slip.size, 3)), np.empty(slip.size), np.empty(slip.size)
     state: Motion = (float(speed[0]), 0.0, 0.0)

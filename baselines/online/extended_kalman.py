@@ -91,39 +91,16 @@ class _ExtendedKalmanRun(Peer):
 
 
 def walk_variances(setup: Setup, drift: float, drift_of_others: float) -> Array:
-    """Return the variances that random walks gain in a second.
+    """Return the variances (S, d) that random walks gain in a second.
 
-    Parameters
-    ----------
-    setup : Setup
-        The task.
-    drift, drift_of_others : float
-        As for `ExtendedKalman`.
-
-    Returns
-    -------
-    ndarray, shape (S, d)
-        Variances.
+    The drifts are as for `ExtendedKalman`.
     """
     share = np.where(setup.changes > 0, drift, drift_of_others)
     return np.asarray((share * setup.sizes) ** 2)
 
 
 def widened(P: Array, variances: Array) -> Array:
-    """Return covariances to which variances are added.
-
-    Parameters
-    ----------
-    P : ndarray, shape (..., d, d)
-        Covariances.
-    variances : ndarray, shape (..., d)
-        Variances.
-
-    Returns
-    -------
-    ndarray, shape (..., d, d)
-        The sums.
-    """
+    """Return covariances (..., d, d) to which variances (..., d) are added."""
     P = P.copy()
     places = np.arange(P.shape[-1])
     P[..., places, places] += variances
@@ -133,29 +110,11 @@ def widened(P: Array, variances: Array) -> Array:
 def updated(
     theta: Array, P: Array, residual: Array, slopes: Array, variance: Array, setup: Setup
 ) -> tuple[Array, Array]:
-    """Return estimates and covariances after one output.
+    """Return estimates (..., d) and covariances (..., d, d) after one output.
 
-    Parameters
-    ----------
-    theta : ndarray, shape (..., d)
-        Estimates.
-    P : ndarray, shape (..., d, d)
-        Their covariances.
-    residual : ndarray, shape (...)
-        Measured minus predicted output; NaN is skipped.
-    slopes : ndarray, shape (..., d)
-        Derivatives of the output.
-    variance : ndarray, shape (...)
-        Variance of the noise.
-    setup : Setup
-        The task, for its bounds.
-
-    Returns
-    -------
-    theta : ndarray, shape (..., d)
-        Estimates.
-    P : ndarray, shape (..., d, d)
-        Their covariances.
+    `residual` (...) is the measured minus the predicted output; NaN is skipped. `slopes` (..., d)
+    are the derivatives of the output, `variance` (...) is the variance of its noise, and `setup`
+    has the bounds.
     """
     Pj = (P @ slopes[..., None])[..., 0]
     seen = np.isfinite(residual)

@@ -145,19 +145,10 @@ class _InteractingModelsRun(Peer):
 
 
 def transitions(modes: int, to_next: float, back: float) -> Array:
-    """Return the probabilities of a change of the mode in a row of data.
+    """Return the probability of a change from each mode (row) to each other one (column).
 
-    Parameters
-    ----------
-    modes : int
-        Number of modes.
-    to_next, back : float
-        Probability of a change from a mode to the next one, and back.
-
-    Returns
-    -------
-    ndarray, shape (modes, modes)
-        Probability of a change from a mode (row) to another one (column).
+    `to_next` and `back` are the probabilities, in a row of data, of a change from a mode to the
+    next one, and back.
     """
     matrix = np.zeros((modes, modes))
     for k in range(modes - 1):
@@ -174,26 +165,9 @@ def considered(
     taught: NDArray[np.bool_],
     setup: Setup,
 ) -> tuple[Array, Array]:
-    """Return the update that changes only the taught parameters, in Joseph's form.
+    """Return the update that changes only the taught parameters (..., d), in Joseph's form.
 
-    Parameters
-    ----------
-    theta, P, residual, slopes, variance
-        As for `updated` of the extended Kalman filter.
-    taught : ndarray of bool, shape (..., d)
-        Whether the row changes each parameter.
-    setup : Setup
-        The task, for its bounds.
-
-    Returns
-    -------
-    theta : ndarray, shape (..., d)
-        Estimates.
-    P : ndarray, shape (..., d, d)
-        Their covariances.
-
-    References
-    ----------
+    The other arguments and the results are as for `updated` of the extended Kalman filter; see
     Simon, Optimal State Estimation (2006), Sec. 10.4 (reduced-order and consider filtering).
     """
     Pj = (P @ slopes[..., None])[..., 0]

@@ -103,15 +103,7 @@ def longitudinal(
 def longitudinal_problem(estimate: Array) -> CurveFit:
     """Return the fit of the acceleration; its rows accelerate, brake and roll.
 
-    Parameters
-    ----------
-    estimate : ndarray, shape (3,)
-        Offline estimate, which makes the rows.
-
-    Returns
-    -------
-    CurveFit
-        Model, bounds and noise.
+    The offline `estimate` (3,) makes the rows.
     """
     space = Space(
         tuple(

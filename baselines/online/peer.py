@@ -41,17 +41,9 @@ class PeerMethod(OnlineMethod):
 
     @final
     def start_abreast(self, arguments: Sequence[Mapping[str, Any]]) -> Peer:
-        """Return runs that advance in lockstep.
+        """Return runs that advance in lockstep, from the arguments of `start` of each run.
 
-        Parameters
-        ----------
-        arguments : sequence of mapping
-            Arguments of `start` of each run. All runs have the model of the first one.
-
-        Returns
-        -------
-        Peer
-            The runs.
+        All runs have the model of the first one.
         """
         defaults = {"prior": None, "changes": None, "input_noise": None, "period": 0.02}
         return self.run(abreast([setup_of(**{**defaults, **own}) for own in arguments]))
@@ -108,21 +100,9 @@ class Peer(Running):
 
     @final
     def advance(self, times: Array, x: Array, y: Array) -> NDArray[np.bool_]:
-        """Take one row of each run.
+        """Take one row of each run, and return the runs that raise an alarm (S,).
 
-        Parameters
-        ----------
-        times : ndarray, shape (S,)
-            Times [s]; NaN if unknown.
-        x : ndarray, shape (S, p)
-            Inputs; NaN is missing.
-        y : ndarray, shape (S, m)
-            Outputs; NaN is missing.
-
-        Returns
-        -------
-        ndarray of bool, shape (S,)
-            The runs that raise an alarm.
+        Times (S,) [s], inputs (S, p) and outputs (S, m) are NaN if they are missing.
         """
         period = self.setup.period
         first = self.count == 0

@@ -138,21 +138,9 @@ class Setup:
             yield float(row[0]), row[1:p], row[p:]
 
     def predicted(self, thetas: Array, x: Array) -> Predicted:
-        """Return the predictions of configurations, each for its own inputs.
+        """Return the predictions of configurations (..., d), each for its own inputs (..., p).
 
         The variance includes the noise of the inputs, to first order.
-
-        Parameters
-        ----------
-        thetas : ndarray, shape (..., d)
-            Configurations.
-        x : ndarray, shape (..., p)
-            Inputs.
-
-        Returns
-        -------
-        Predicted
-            Outputs, derivatives and variances.
         """
         shape, m = thetas.shape[:-1], len(self.system.outputs)
         flat, rows = thetas.reshape(-1, thetas.shape[-1]), x.reshape(-1, x.shape[-1])
@@ -189,18 +177,7 @@ def setup_of(
     input_noise: Mapping[str, float] | None,
     period: float,
 ) -> Setup:
-    """Return the task of one run.
-
-    Parameters
-    ----------
-    problem, prior, changes, input_noise, period
-        As for `OnlineMethod.start`.
-
-    Returns
-    -------
-    Setup
-        The task, with S = 1.
-    """
+    """Return the task of one run (S = 1), with the arguments of `OnlineMethod.start`."""
     steps = None
     if is_motion(problem):
         steps, problem = StepRows.of_problem(problem), one_step(problem)
@@ -227,18 +204,7 @@ def setup_of(
 
 
 def abreast(setups: Sequence[Setup]) -> Setup:
-    """Return the task of several runs of the same model, which advance in lockstep.
-
-    Parameters
-    ----------
-    setups : sequence of Setup
-        Task of each run.
-
-    Returns
-    -------
-    Setup
-        The task of all runs.
-    """
+    """Return the task of several runs of the same model, which advance in lockstep."""
     return replace(
         setups[0],
         theta=np.concatenate([setup.theta for setup in setups]),

@@ -169,15 +169,7 @@ def tire(
 def tire_problem(estimate: Array) -> CurveFit:
     """Return the fit of the tire; its rows are the offline estimate's forces up to 0.16 rad.
 
-    Parameters
-    ----------
-    estimate : ndarray, shape (5,)
-        Offline estimate of B, C, D, Sx, Sy.
-
-    Returns
-    -------
-    CurveFit
-        Model, bounds and noise.
+    `estimate` (5,) is B, C, D, Sx, Sy.
     """
     low = np.array([3.6, 0.96, 200.0, -0.03, -600.0])
     high = np.array([36.0, 2.4, 8000.0, 0.03, 600.0])
@@ -194,20 +186,7 @@ def tire_problem(estimate: Array) -> CurveFit:
 
 
 def corners(rng: np.random.Generator, rows: int) -> Array:
-    """Return slip angles of corners of 2 to 6 s, half of them near the peak.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    rows : int
-        Number of rows.
-
-    Returns
-    -------
-    ndarray, shape (rows,)
-        Slip angles [rad].
-    """
+    """Return slip angles [rad] (rows,) of corners of 2 to 6 s, half of them near the peak."""
     slip = np.zeros(rows)
     k = 0
     while k < rows:
@@ -225,60 +204,20 @@ def swing_near_peak(
 ) -> None:
     """Set the slip angle near the peak from 1 s before the change until 3 s after it.
 
-    Parameters
-    ----------
-    slip : ndarray, shape (N,)
-        Slip angles [rad], changed in place.
-    t : ndarray, shape (N,)
-        Times [s].
-    at : float
-        Time of the change [s].
-    rng : numpy.random.Generator
-        Source of randomness.
-    swing : tuple of float
-        Middle and amplitude of the slip angle [rad].
+    Slip angles (N,) [rad] change in place; `swing` is their middle and their amplitude [rad].
     """
     near = (t >= at - 1) & (t < at + 3)
     slip[near] = swing[0] + swing[1] * np.sin(2 * np.pi * 1.1 * t[near] + rng.uniform(0, 6))
 
 
 def straighten(slip: Array, t: Array, kind: str, at: float, rng: np.random.Generator) -> None:
-    """Set the slip angle to noise of 0.002 rad on the straights of a stream.
-
-    Parameters
-    ----------
-    slip : ndarray, shape (N,)
-        Slip angles [rad], changed in place.
-    t : ndarray, shape (N,)
-        Times [s].
-    kind : str
-        Change or fault, as in `tire`.
-    at : float
-        Time of the change or fault [s].
-    rng : numpy.random.Generator
-        Source of randomness.
-    """
+    """Set the slip angle (N,) [rad] to noise of 0.002 rad on the straights of a stream."""
     straight = is_straight(kind, t, at)
     slip[straight] = 0.002 * rng.standard_normal(np.count_nonzero(straight))
 
 
 def is_straight(kind: str, t: Array, at: float = 0.0) -> NDArray[np.bool_]:
-    """Return the mask of the rows on straights.
-
-    Parameters
-    ----------
-    kind : str
-        Change or fault, as in `tire`.
-    t : ndarray, shape (N,)
-        Times [s].
-    at : float, optional
-        Time of the change or fault [s].
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        True on straights.
-    """
+    """Return the mask (N,) of the rows on straights, for a kind of `tire`."""
     if kind == "mixed":
         return np.asarray(t % 150 > 90)
     return np.asarray(t >= at) if kind == "straight" else np.full(t.size, False)
@@ -292,22 +231,9 @@ def spoil(
     at: float,
     rng: np.random.Generator,
 ) -> None:
-    """Change the measured columns in place as the kind of fault says.
+    """Change the measured columns in place as a kind of fault of `tire` says.
 
-    Parameters
-    ----------
-    columns : dict of str to ndarray, shape (N,)
-        The columns, with "time" [s].
-    outputs : sequence of str
-        Columns of the outputs.
-    noise : sequence of float
-        Standard deviation of the noise of each output.
-    kind : str
-        Change or fault, as in `tire`.
-    at : float
-        Time of the change or fault [s].
-    rng : numpy.random.Generator
-        Source of randomness.
+    `noise` is the standard deviation of the noise of each output.
     """
     t = columns["time"].copy()
     fault = (t >= at) & (t < at + 5)
@@ -334,39 +260,14 @@ def spoil(
 
 
 def present(t: Array, kind: str, at: float) -> NDArray[np.bool_]:
-    """Return the mask of the rows that arrive.
-
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-        Times [s].
-    kind : str
-        Change or fault, as in `tire`.
-    at : float
-        Time of the change or fault [s].
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        False for missing rows.
-    """
+    """Return the mask (N,) of the rows that arrive, for a kind of `tire`."""
     return (t < at) | (t >= at + 5) if kind == "missing" else np.full(t.size, True)
 
 
 def period(kind: str, at: float) -> tuple[float | None, float | None]:
-    """Return the times between which a change or a fault lasts.
+    """Return start and end [s] of a change or a fault of `tire`.
 
-    Parameters
-    ----------
-    kind : str
-        Change or fault, as in `tire`.
-    at : float
-        Time of the change or fault [s].
-
-    Returns
-    -------
-    tuple of float or None
-        Start and end [s]; None for a kind that lasts all the time, or for none.
+    Both are None for a kind that lasts all the time, or for none.
     """
     seconds = {"ramp": 10.0, "dropout": 5.0, "missing": 5.0, "frozen": 5.0, "time": 5.0}
     if kind in SUDDEN:

@@ -22,14 +22,9 @@ from argparse import ArgumentParser, Namespace
 
 
 def arguments(doc: str | None, **defaults: float) -> Namespace:
-    """Read the options of a check, which are numbers, from the command line.
+    """Read the options of a check, which are numbers with `defaults`, from the command line.
 
-    Parameters
-    ----------
-    doc : str
-        Docstring of the check; its first line is the description.
-    **defaults : int or float
-        The default of each option.
+    The first line of its docstring `doc` is the description.
     """
     parser = ArgumentParser(description=(doc or "").partition("\n")[0])
     for name, default in defaults.items():

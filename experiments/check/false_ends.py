@@ -38,17 +38,9 @@ Job = tuple[str, int, int, int, Mapping[str, Any]]
 
 
 def run(job: Job) -> dict[str, object]:
-    """Make the run of a seed on an instance of a family.
+    """Make a run, and return its row of the table of all runs.
 
-    Parameters
-    ----------
-    job : tuple
-        Family, draw, instance, seed, and settings of `MIHOGN`.
-
-    Returns
-    -------
-    dict
-        Row of the table of all runs.
+    A job has a family, a draw, an instance, a seed, and settings of `MIHOGN`.
     """
     name, draw, instance, seed, settings = job
     family = FAMILIES[name]
@@ -64,18 +56,7 @@ def run(job: Job) -> dict[str, object]:
 
 
 def judged(runs: pd.DataFrame) -> pd.DataFrame:
-    """Judge the runs.
-
-    Parameters
-    ----------
-    runs : pandas.DataFrame
-        One row per run, from `run`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The same rows, with the columns `right`, `wrong`, `badly` and `silent`.
-    """
+    """Return the runs with the columns `right`, `wrong`, `badly` and `silent`."""
     best = runs[["loss", "known"]].min(axis=1)
     best = best.groupby([runs["family"], runs["instance"]]).transform("min")
     right, badly = runs["loss"] <= (1 + RIGHT) * best, runs["loss"] > (1 + BADLY) ** 2 * best

@@ -43,20 +43,7 @@ class Family:
     draw: Callable[[np.random.Generator], Draw]
 
     def problem(self, rng: np.random.Generator) -> tuple[CurveFit, float]:
-        """Draw a problem.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            The source of rows, true parameters and noise.
-
-        Returns
-        -------
-        problem : CurveFit
-            The problem.
-        loss : float
-            The loss at the end of a descent from the true parameters.
-        """
+        """Draw a problem, and return it with the loss after a descent from the true parameters."""
         columns, true, noise = self.draw(rng)
         noise *= _log(rng, *LOUDER)
         fit = drawn(self.formula, columns, true, noise, self.box, rng)

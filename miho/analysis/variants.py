@@ -27,17 +27,9 @@ def setting_columns(frame: pd.DataFrame) -> list[str]:
 def named_apart(runs: pd.DataFrame, *, of_problem: Collection[str] = OF_PROBLEM) -> pd.DataFrame:
     """Add settings that differ under one name to the columns `problem` and `optimizer` of `runs`.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        A row per run, or curves, with the columns of settings of `miho.load_runs`.
-    of_problem : collection of str
-        Groups of settings that define another problem; empty if all runs are to be compared.
-
-    Returns
-    -------
-    DataFrame
-        The same rows. A second call changes nothing.
+    `runs` are runs or curves with the columns of settings of `miho.load_runs`. Settings of the
+    groups `of_problem` define another problem; without groups, all runs are to be compared. A
+    second call changes nothing.
     """
     columns = setting_columns(runs)
     if not columns:

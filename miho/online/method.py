@@ -26,24 +26,9 @@ Rows = Dataset | Mapping[str, Any]
 
 
 def numbers_of(name: str, column: Any) -> Array:
-    """Return the numbers (n,) of a column of rows; a masked value is NaN.
+    """Return the numbers (n,) of a column of rows: one number, or one for each row.
 
-    Parameters
-    ----------
-    name : str
-        Name of the column.
-    column : array_like
-        A number, or one for each row.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The numbers.
-
-    Raises
-    ------
-    ValueError
-        If the column is not of numbers.
+    A masked value is NaN. Raises ValueError if the column is not of numbers.
     """
     try:
         if isinstance(column, np.ma.MaskedArray):

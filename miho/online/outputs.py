@@ -101,22 +101,8 @@ class System:
 def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = None) -> System:
     """Return the outputs and parameters of a problem, a joint problem or one problem per output.
 
-    Parameters
-    ----------
-    problems : CurveFit or sequence of CurveFit
-        A problem, or one for each output.
-    noise : float, optional
-        Standard deviation of the errors of a problem without sigma.
-
-    Returns
-    -------
-    System
-        Outputs and parameters.
-
-    Raises
-    ------
-    ValueError
-        If a model needs all rows in order, if sigma is unknown, or if problems do not agree.
+    `noise` is the standard deviation of the errors of a problem without sigma. Raises ValueError if
+    a model needs all rows in order, if sigma is unknown, or if problems do not agree.
     """
     each = [problems] if isinstance(problems, CurveFit) else problems
     if not isinstance(each, Sequence) or not each or not all(isinstance(p, CurveFit) for p in each):

@@ -19,27 +19,11 @@ UNIFORM = 1 / math.sqrt(12)
 def start_of(
     system: System, prior: Report | Mapping[str, tuple[float, float]] | None
 ) -> tuple[Array, Array]:
-    """Return the estimate and its covariance before the first row.
+    """Return the estimate (d,) and its covariance (d, d) before the first row.
 
-    Parameters
-    ----------
-    system : System
-        The tracked system.
-    prior : Report or mapping of str to (value, standard deviation) or None
-        Knowledge from before. Without it, and for names that a mapping lacks, a parameter starts
-        from the prior of its `Parameter`, or from the middle of its bounds.
-
-    Returns
-    -------
-    theta : ndarray, shape (d,)
-        Estimate.
-    covariance : ndarray, shape (d, d)
-        Its covariance.
-
-    Raises
-    ------
-    ValueError
-        If the prior has an unknown parameter, or not a value and a standard deviation above 0.
+    Without a prior, and for names that a mapping lacks, a parameter starts from the prior of its
+    `Parameter`, or from the middle of its bounds. Raises ValueError if the prior has an unknown
+    parameter, or not a value and a standard deviation above 0.
     """
     each = [_of_bounds(parameter) for parameter in system.space.parameters]
     theta, deviations = (np.array(column, dtype=float) for column in zip(*each, strict=True))

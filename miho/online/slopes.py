@@ -127,21 +127,9 @@ class ModelFormula(RowFormula):
 
 
 def row_formula(system: System, columns: Sequence[str], noise: Array) -> RowFormula:
-    """Return the formula of a system.
+    """Return one tape if all models can be traced, otherwise the models' own functions.
 
-    Parameters
-    ----------
-    system : System
-        The outputs and parameters.
-    columns : sequence of str
-        The input columns; those with noise come first.
-    noise : ndarray, shape (q,)
-        Standard deviations of the first inputs.
-
-    Returns
-    -------
-    RowFormula
-        One tape if all models are expressions that can be traced, otherwise the models' functions.
+    The input columns with noise come first; `noise` (q,) are their standard deviations.
     """
     tape = _traced(system, columns, noise.size)
     if tape is None:

@@ -257,22 +257,7 @@ class TrackerState:
 
 
 def mixture_reach(centre: Array, mixture: Mixture, level: float) -> Array:
-    """Return the half widths of intervals that have a probability.
-
-    Parameters
-    ----------
-    centre : ndarray, shape (d,)
-        Middles of the intervals.
-    mixture : Mixture
-        Distribution of the parameters.
-    level : float
-        The probability.
-
-    Returns
-    -------
-    ndarray, shape (d,)
-        Half widths.
-    """
+    """Return the half widths (d,) of intervals about a centre that have a probability `level`."""
     if machine() is not None:
         out = np.empty(centre.size)
         machine().mixture_reach(*mixture, centre, level, out)

@@ -247,19 +247,10 @@ MEASURES = {
 def lap_table(laps: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     """Means over seeds with 95 % bootstrap intervals, a row per variant.
 
-    Parameters
-    ----------
-    laps : DataFrame
-        A row per variant and seed: variant, seed, and the columns of `MEASURES` in SI units, with
-        lap_time NaN if the car did not finish.
-    rng : Generator
-        Draws the resamples.
-
-    Returns
-    -------
-    DataFrame
-        Columns variant, seeds, finished, and for each measure, in its shown unit, the mean, `_low`
-        and `_high`. Unfinished laps only count in `seeds`.
+    `laps` has a row per variant and seed: variant, seed, and the columns of `MEASURES` in SI units,
+    with lap_time NaN if the car did not finish. The result has the columns variant, seeds,
+    finished, and for each measure, in its shown unit, the mean, `_low` and `_high`; unfinished laps
+    only count in `seeds`.
     """
     rows = []
     for variant, group in laps.groupby("variant", observed=True, sort=False):
