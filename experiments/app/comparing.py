@@ -32,6 +32,10 @@ from miho.study import Status
 from miho.vehicle.data import DataUnavailableError
 
 
+METHODS, FAMILIES = 3, 2
+"""Least numbers of methods and of families of problems for Friedman's test."""
+
+
 def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], str]:
     """Runs of an arena, and a note on its size for figures."""
     _check(cfg, overrides)
@@ -109,14 +113,12 @@ def chosen_method(name: str, settings: Mapping[str, Any]) -> list[str]:
     return [f"optimizer={name}", *replaced]
 
 
-def plan_arena(
-    cfg: DictConfig, overrides: Sequence[str], *, methods: int = 3, families: int = 2
-) -> ArenaPlan:
+def plan_arena(cfg: DictConfig, overrides: Sequence[str]) -> ArenaPlan:
     """Compose and check every problem and every method of `cfg.comparison` once.
 
     A problem is left out if its data are not available, and a method if its library is not
-    installed. Raises ConfigError for other faults, and if fewer `methods` or `families` of problems
-    are left than the statistical tests need (Friedman's test: 3 methods on 2 families).
+    installed. Raises ConfigError for other faults, and if fewer methods or families of problems are
+    left than Friedman's test needs.
 
     Runs are ordered by problem, so that a worker builds each problem once, and then by seed, so
     that all methods run under the same load of the machine.
@@ -166,11 +168,11 @@ def plan_arena(
                 continue
             plan += [request for seed in zip(*by_method, strict=True) for request in seed]
             kinds.add(problem.problem.family or name)
-    if len(optimizers) < methods or len(kinds) < families:
+    if len(optimizers) < METHODS or len(kinds) < FAMILIES:
         reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
         raise ConfigError(
             f"comparison: holds {len(optimizers)} methods on problems of {len(kinds)} families; "
-            f"expected at least {methods} on {families}, so add to comparison.methods or "
+            f"expected at least {METHODS} on {FAMILIES}, so add to comparison.methods or "
             f"comparison.problems{reasons}"
         )
     return ArenaPlan(tuple(plan), left_out)
