@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.alarms import Detector, LevelAlarm
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
 from miho.quantities import Array
@@ -27,8 +26,6 @@ class Bank(PeerMethod):
         Length of the window.
     seed : int, optional
         Seed of the configurations.
-    detector : Detector, optional
-        The alarm.
 
     References
     ----------
@@ -39,7 +36,6 @@ class Bank(PeerMethod):
     size: int = 10_000
     rows: int = 20
     seed: int = 1
-    detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
@@ -48,7 +44,7 @@ class Bank(PeerMethod):
 
 class _BankRun(Peer):
     def __init__(self, setup: Setup, settings: Bank) -> None:
-        super().__init__(setup, settings.detector)
+        super().__init__(setup)
         rng = np.random.default_rng(settings.seed)
         S, d = setup.theta.shape
         normal = rng.standard_normal((settings.size, d))

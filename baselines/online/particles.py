@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.alarms import Detector, LevelAlarm
 from baselines.online.extended_kalman import walk_variances
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
@@ -28,8 +27,6 @@ class Particles(PeerMethod):
         As in `ExtendedKalman`.
     seed : int, optional
         Seed of the particles.
-    detector : Detector, optional
-        The alarm.
 
     References
     ----------
@@ -41,7 +38,6 @@ class Particles(PeerMethod):
     drift: float = 0.1
     drift_of_others: float = 0.1
     seed: int = 2
-    detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
@@ -52,7 +48,7 @@ class _ParticlesRun(Peer):
     """Particles are the second axis: (S, n, d), with weights (S, n)."""
 
     def __init__(self, setup: Setup, settings: Particles) -> None:
-        super().__init__(setup, settings.detector)
+        super().__init__(setup)
         self.rng = np.random.default_rng(settings.seed)
         self.walk = np.sqrt(walk_variances(setup, settings.drift, settings.drift_of_others))
         S, d = setup.theta.shape

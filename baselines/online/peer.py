@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.online.alarms import Detector
+from baselines.online.alarms import Detector, LevelAlarm
 from baselines.online.setup import Setup, abreast, setup_of
 from miho.online import OnlineMethod, Running, TrackerState
 from miho.online.method import Problems, Rows
@@ -56,8 +56,8 @@ class Peer(Running):
     ----------
     setup : Setup
         The task of the runs.
-    detector : Detector
-        The alarm.
+    detector : Detector, optional
+        The alarm; by default a change of the level.
     skips_repeats : bool, optional
         Whether an output that repeats exactly counts as missing.
 
@@ -75,9 +75,11 @@ class Peer(Running):
         The last row; an output that was not used is NaN.
     """
 
-    def __init__(self, setup: Setup, detector: Detector, skips_repeats: bool = False) -> None:
+    def __init__(
+        self, setup: Setup, detector: Detector | None = None, skips_repeats: bool = False
+    ) -> None:
         self.setup = setup
-        self.watch = detector.watch(setup)
+        self.watch = (detector or LevelAlarm()).watch(setup)
         self.theta = setup.theta.copy()
         self.covariance = setup.covariance.copy()
         self.probability = np.full(len(setup.theta), np.nan)

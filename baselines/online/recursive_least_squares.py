@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.alarms import Detector, LevelAlarm
 from baselines.online.extended_kalman import updated
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
@@ -29,8 +28,6 @@ class RecursiveLeastSquares(PeerMethod):
     reach : float, optional
         Largest derivative by a watched parameter, as a share of the largest one offline, of the
         rows that count.
-    detector : Detector, optional
-        The alarm.
 
     References
     ----------
@@ -40,7 +37,6 @@ class RecursiveLeastSquares(PeerMethod):
 
     forgetting: float = 0.98
     reach: float = 0.4
-    detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
@@ -49,7 +45,7 @@ class RecursiveLeastSquares(PeerMethod):
 
 class _RecursiveLeastSquaresRun(Peer):
     def __init__(self, setup: Setup, settings: RecursiveLeastSquares) -> None:
-        super().__init__(setup, settings.detector)
+        super().__init__(setup)
         self.forgetting = settings.forgetting
         linear = {
             name

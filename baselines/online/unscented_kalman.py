@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.alarms import Detector, LevelAlarm
 from baselines.online.extended_kalman import walk_variances, widened
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
@@ -29,8 +28,6 @@ class UnscentedKalman(PeerMethod):
         As in `ExtendedKalman`.
     alpha, beta, kappa : float, optional
         Spread of the points, weight of the central point in covariances, and Julier's parameter.
-    detector : Detector, optional
-        The alarm.
 
     References
     ----------
@@ -43,7 +40,6 @@ class UnscentedKalman(PeerMethod):
     alpha: float = 1.0
     beta: float = 0.0
     kappa: float = 0.0
-    detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
@@ -52,7 +48,7 @@ class UnscentedKalman(PeerMethod):
 
 class _UnscentedKalmanRun(Peer):
     def __init__(self, setup: Setup, settings: UnscentedKalman) -> None:
-        super().__init__(setup, settings.detector)
+        super().__init__(setup)
         self.walk = walk_variances(setup, settings.drift, settings.drift_of_others)
         d = setup.theta.shape[1]
         self.spread = settings.alpha**2 * (d + settings.kappa)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.alarms import Detector, LevelAlarm
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
 from miho.quantities import Array
@@ -33,8 +32,6 @@ class WindowedLeastSquares(PeerMethod):
         Residuals above this number of standard deviations count linearly.
     every : int, optional
         A fit is made after each such number of rows.
-    detector : Detector, optional
-        The alarm.
 
     References
     ----------
@@ -46,7 +43,6 @@ class WindowedLeastSquares(PeerMethod):
     iterations: int = 1
     huber: float = 2.5
     every: int = 1
-    detector: Detector = field(default_factory=LevelAlarm)
 
     def run(self, setup: Setup) -> Peer:
         """Return a run that has seen no row."""
@@ -55,7 +51,7 @@ class WindowedLeastSquares(PeerMethod):
 
 class _WindowedLeastSquaresRun(Peer):
     def __init__(self, setup: Setup, settings: WindowedLeastSquares) -> None:
-        super().__init__(setup, settings.detector)
+        super().__init__(setup)
         self.settings = settings
         self.anchor = 1 / (setup.deviations**2 + setup.changes**2)
         self.damping = np.zeros(len(setup.theta))

@@ -31,7 +31,6 @@ from experiments.app.working import State
 from miho.study import Status
 from miho.vehicle.data import DataUnavailableError
 
-
 METHODS, FAMILIES = 3, 2
 """Least numbers of methods and of families of problems for Friedman's test."""
 
