@@ -5,6 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
+from typing import TypeGuard
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether `value` is a real number, which may be infinite or NaN, and not a bool."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def is_finite(value: object) -> TypeGuard[float]:
+    """Return whether `value` is a finite real number, and not a bool."""
+    return is_number(value) and math.isfinite(value)
 
 
 def one_of(field: str, value: str, allowed: Sequence[str]) -> None:
@@ -15,13 +26,13 @@ def one_of(field: str, value: str, allowed: Sequence[str]) -> None:
 
 def at_least(field: str, value: float, low: float) -> None:
     """Raise ValueError unless `value` is a finite number of at least `low`."""
-    if not _is_number(value) or value < low:
+    if not is_finite(value) or value < low:
         raise ValueError(f"{field} is {value!r}; expected a number of at least {low:g}")
 
 
 def number_or_infinity(field: str, value: float) -> None:
     """Raise ValueError unless `value` is a finite number or positive infinity."""
-    if not _is_number(value) and value != math.inf:
+    if not is_finite(value) and value != math.inf:
         raise ValueError(f"{field} is {value!r}; expected a number, or inf for never")
 
 
@@ -34,13 +45,13 @@ def whole(field: str, value: int, low: int, high: int | None = None) -> None:
 
 def positive(field: str, value: float, unit: str = "") -> None:
     """Raise ValueError unless `value` is a finite number above 0; the message ends with `unit`."""
-    if not _is_number(value) or value <= 0:
+    if not is_finite(value) or value <= 0:
         raise ValueError(f"{field} is {value!r}; expected a positive number{unit and f' {unit}'}")
 
 
 def between_0_and_1(field: str, value: float) -> None:
     """Raise ValueError unless `value` is a number above 0 and below 1."""
-    if not _is_number(value) or not 0 < value < 1:
+    if not is_finite(value) or not 0 < value < 1:
         raise ValueError(f"{field} is {value!r}; expected a number between 0 and 1")
 
 
@@ -64,8 +75,3 @@ def positive_settings(settings: object, names: Iterable[str], unit: str = "") ->
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
-
-
-def _is_number(value: object) -> bool:
-    real = isinstance(value, Real) and not isinstance(value, bool)
-    return real and math.isfinite(float(value))  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ import numpy as np
 from baselines.online import Stream
 from miho.online.outputs import TIME
 from miho.quantities import Array
-from miho.validate import positive, whole
+from miho.validate import is_number, positive, whole
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 """Hosts that only programs of this machine reach."""
@@ -159,7 +159,7 @@ def parsed(line: str, needed: tuple[str, ...]) -> dict[str, float]:
     for name, value in row.items():
         if value is None:
             value = math.nan
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_number(value):
             raise ValueError(f"column {name!r} is {value!r}; expected a number or null")
         numbers[name] = float(value)
     return numbers

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.quantities import Array
-from miho.validate import whole
+from miho.validate import is_number, whole
 
 if TYPE_CHECKING:
     from miho.data.preview import Reading
@@ -30,8 +30,7 @@ def number_pair(value: object, label: str) -> tuple[float, float]:
     """Return `value` as (low, high); raises ValueError unless it is two finite numbers in order."""
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2:
         low, high = value
-        numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
-        if numbers and -math.inf < low <= high < math.inf:
+        if is_number(low) and is_number(high) and -math.inf < low <= high < math.inf:
             return float(low), float(high)
     raise ValueError(f"{label} is {value!r}; give two finite numbers, the lower first")
 

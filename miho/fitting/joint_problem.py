@@ -27,6 +27,7 @@ from miho.models.model import Model
 from miho.optim import Parameter, Space
 from miho.quantities import Array
 from miho.units import differ
+from miho.validate import is_number
 
 if TYPE_CHECKING:
     from miho.parallel import Evaluations
@@ -313,7 +314,7 @@ def deviations(name: str, part: Measured) -> Array:
                 f"{dataset.output!r}"
             )
         values = dataset[sigma]
-    elif isinstance(sigma, int | float) and not isinstance(sigma, bool):
+    elif is_number(sigma):
         values = np.full(output.size, float(sigma))
     else:
         raise ValueError(f"{name}: sigma is {sigma!r}; expected a number or a column's name")

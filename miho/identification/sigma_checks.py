@@ -8,6 +8,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import LARGEST, SMALLEST
 from miho.identification.loss import Square
 from miho.units import differ
+from miho.validate import is_number
 
 
 def check_sigma(problem: CurveFit) -> None:
@@ -18,7 +19,7 @@ def check_sigma(problem: CurveFit) -> None:
     if sigma is None:
         return
     if not isinstance(sigma, str):
-        if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < np.inf:
+        if not is_number(sigma) or not 0 < sigma < np.inf:
             raise ValueError(f"sigma is {sigma!r}; expected a number above 0, or a column's name")
         if not SMALLEST < sigma < LARGEST:
             raise ValueError(f"sigma is {sigma!r}; expected {SMALLEST:g} to {LARGEST:g}")

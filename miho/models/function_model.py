@@ -36,6 +36,7 @@ from miho.models.symbolic import (
 )
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
+from miho.validate import is_number
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and the relative tolerance."""
@@ -289,11 +290,6 @@ class FunctionModel(DifferencedModel):
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         message = " ".join(str(error).split())  # in one line
         return f"{place} raises {type(error).__name__}: {message}{COPY * ('read-only' in message)}"
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value is a real number, and not a bool."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
 def alike(first: Array, second: Array) -> bool:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from miho.validate import at_least, positive
+from miho.validate import at_least, is_finite, positive
 from miho.vehicle.models.longitudinal import Longitudinal
 from miho.vehicle.models.single_track import SingleTrack
 
@@ -188,20 +187,12 @@ class Vehicle:
 def _check(name: str, value: Any) -> None:
     """Raise ValueError unless the value of a field is valid."""
     if name == "gear_ratios":
-        if not isinstance(value, tuple) or not value or not all(map(_positive, value)):
+        ratios = value if isinstance(value, tuple) else ()
+        if not ratios or not all(is_finite(ratio) and ratio > 0 for ratio in ratios):
             raise ValueError(f"gear_ratios is {value!r}; give a positive ratio for each gear")
-    elif not _number(value):
+    elif not is_finite(value):
         raise ValueError(f"{name} is {value!r}; expected a finite number")
     elif name in ZERO_ALLOWED:
         at_least(name, value, 0)
     elif name not in SIGNED:
         positive(name, value)
-
-
-def _number(value: Any) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and math.isfinite(value)
-
-
-def _positive(value: Any) -> bool:
-    return _number(value) and value > 0

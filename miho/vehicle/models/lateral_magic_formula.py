@@ -16,6 +16,7 @@ from miho.models.model import Model
 from miho.models.symbolic import Symbol, constant, trace
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
+from miho.validate import is_number
 from miho.vehicle.models.features import tire_features
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.magic_formula_parameters import (
@@ -174,7 +175,7 @@ def mf61_lateral(base: str | Mapping[str, float], identified: Sequence[str] | No
         if name not in numbers:
             raise ValueError(f"base lacks {name}; give its value, or the path of a .tir file")
     for name, value in numbers.items():
-        if name not in allowed or isinstance(value, bool) or not isinstance(value, int | float):
+        if name not in allowed or not is_number(value):
             raise ValueError(
                 f"base has {name}: {value!r}; expected a parameter of MF 6.1 and its number"
             )

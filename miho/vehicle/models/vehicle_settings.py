@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
+from miho.validate import is_number
 from miho.vehicle.models.longitudinal import Longitudinal
 from miho.vehicle.models.single_track import SingleTrack
 
@@ -26,16 +27,12 @@ def from_settings(kind: type[T], vehicle: Mapping[str, object]) -> T:
             raise ValueError(f"vehicle.{field.name} is missing; give it in SI units")
         value = vehicle[field.name]
         if field.name == "gear_ratios":
-            if not isinstance(value, list | tuple) or not all(map(_is_number, value)):
+            if not isinstance(value, list | tuple) or not all(map(is_number, value)):
                 raise ValueError(f"vehicle.gear_ratios is {value!r}; expected a list of numbers")
-        elif not _is_number(value):
+        elif not is_number(value):
             raise ValueError(f"vehicle.{field.name} is {value!r}; expected a number")
         needed[field.name] = value
     try:
         return kind(**needed)
     except ValueError as error:
         raise ValueError(f"vehicle: {error}") from None
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
