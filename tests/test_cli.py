@@ -207,6 +207,18 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     ),
     "a word like another": (["sede=1"], "sede: is unknown; did you mean seed?"),
     "a choice like another": (["optimizer=mhio"], "optimizer=mhio: is unknown; did you mean miho?"),
+    "a choice of very many": (
+        ["problem=nist_mgh9"],
+        "problem=nist_mgh9: is unknown; the closest of ",
+    ),
+    "a removed folder of choices": (
+        ["optimizer=readings/pso_100_no_limit"],
+        "as in optimizer=pso_100 optimizer.velocity_limit=null method=NAME; VARIANTS in",
+    ),
+    "the same in a sweep": (
+        ["-m", "optimizer=random,readings/pso_100_no_limit"],
+        "optimizer=readings/pso_100_no_limit: was removed; give the settings",
+    ),
     "a choice in a folder": (["optimizer=r500/mio"], "error: optimizer=r500/mio: is unknown;"),
     "a group like another": (["optimiser=miho"], "did you mean optimizer?"),
     "a setting of another choice": (

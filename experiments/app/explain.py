@@ -28,7 +28,8 @@ EXPECTED: dict[type, str] = {
     BooleanNode: "true or false",
 }
 HIDDEN = ("hydra", "_target_")
-LISTED = 40
+LISTED, CLOSEST = 40, 5
+"""Largest number of names that a message lists; of more names only so many of the closest."""
 EXTRAS = {
     "hydra/launcher": ("joblib", "submitit_local", "submitit_slurm", "slurm"),
     "hydra/job_logging": ("colorlog",),
@@ -44,13 +45,23 @@ class ConfigError(ValueError):
 
 
 def unknown_message(key: str, allowed: Iterable[object]) -> str:
-    """Message on an unknown key or choice, with the closest name and all allowed names."""
+    """Message on an unknown key or choice: the closest name and all names, or the closest of many.
+
+    Many names are options of a group, which its help lists.
+    """
     names = [str(name) for name in allowed if name not in HIDDEN]
-    last = key.rpartition("=" if "=" in key else ".")[2]
+    group, _, value = key.rpartition("=")
+    last = value if group else key.rpartition(".")[2]
+    if len(names) > LISTED:
+        group = group.lstrip("-").rpartition(".")[2].removesuffix("s")  # comparison.problems
+        close = difflib.get_close_matches(last, names, n=CLOSEST, cutoff=0)
+        return (
+            f"{key}: is unknown; the closest of {len(names)} are {', '.join(close)}; "
+            f"python -m experiments.identify {group} --help lists all"
+        )
     close = difflib.get_close_matches(last, names, n=1)
     guess = f"; did you mean {close[0]}?" if close else ";"
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return f"{key}: is unknown{guess} allowed are {', '.join(names[:LISTED]) or 'none'}{more}"
+    return f"{key}: is unknown{guess} allowed are {', '.join(names) or 'none'}"
 
 
 def parse_overrides(texts: Sequence[str]) -> list[Override]:
@@ -169,16 +180,20 @@ def _ends(text: str) -> str:
 
 def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str:
     """Message on an option that does not exist: it belongs to an extra, or is misspelt."""
-    group, _, name = str(error.missing_cfg_file).rpartition("/")
-    for key, _, value in (text.lstrip("+").partition("=") for text in texts):
-        if value and f"{key}/{value}" == error.missing_cfg_file:  # the value may name a folder
-            group, name = key, value
+    missing = str(error.missing_cfg_file)
+    group, _, name = missing.rpartition("/")
+    for key, _, values in (text.lstrip("+").partition("=") for text in texts):
+        for value in values.split(","):  # a value may name a folder
+            if value and f"{key}/{value}" == missing:
+                group, name = key, value
     chosen = any(text.lstrip("+").startswith(f"{group}=") for text in texts)
     place = "" if chosen else f"{str(error).partition(':')[0]}: "  # the file that chooses it
     if name in EXTRAS.get(group, ()):
         return f"{place}{group}={name}: is not installed; pip install 'miho[launchers]'"
-    if f"{group}={name}" in RENAMED:
-        return f"{place}{group}={name}: {RENAMED[f'{group}={name}']}"
+    folder, slash, _ = name.rpartition("/")
+    for former in (f"{group}={name}", f"{group}={folder}{slash}"):
+        if former in RENAMED:
+            return f"{place}{group}={name}: {RENAMED[former]}"
     own = "; your own need --config-dir FOLDER" * (group == "experiment")
     return place + unknown_message(f"{group}={name}", error.options or ()) + own
 

@@ -266,6 +266,8 @@ RENAMED = {
     "drive.mu": "is now two settings: drive.performance_factor, the share of the tires' grip that "
     "the plan uses (the paper's mu), and drive.road_friction, the friction of the road",
     "optimizer=miho_asynchronous": "was removed; use miho_gn_asynchronous, or miho with workers",
+    "optimizer=readings/": "was removed; give the settings of the reading, as in optimizer=pso_100 "
+    "optimizer.velocity_limit=null method=NAME; VARIANTS in experiments/check/readings.py has them",
     "miho.optim.AsynchronousMIHO": "was removed; use miho.optim.AsynchronousMIHOGN, or "
     "miho.optim.MIHO with workers",
     "sweep.processes": "is now sweep.workers",
@@ -273,7 +275,8 @@ RENAMED = {
     "problem.compressed": "was removed, because losses are summed over all rows; leave it out",
     "problem.threads": "was removed; a loss has one thread, and sweep.workers makes several runs",
 }
-"""Messages on settings, options and classes that were renamed or removed, by former name."""
+"""Messages on settings, options and classes that were renamed or removed, by former name; of a
+removed folder of options, by its name with a slash."""
 
 
 def register() -> None:

@@ -133,7 +133,7 @@ def test_problems_are_named_once_in_the_order_given() -> None:
     register()
     assert problems("tire_lf,sample_b_*,*_lf") == ["tire_lf", "sample_b_physical", "sample_b_wide"]
     assert {"tire_lf", "single_track"} <= set(problems(None))
-    with pytest.raises(ConfigError, match="tire_xx: is unknown; did you mean"):
+    with pytest.raises(ConfigError, match="--problems=tire_xx: is unknown; the closest"):
         problems("tire_lf,tire_xx")
 
 
