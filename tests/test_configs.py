@@ -274,11 +274,16 @@ def test_the_arena_is_everything_but_what_it_says() -> None:
 
 
 def test_problems_are_chosen_by_name_or_pattern_and_once() -> None:
-    chosen = chosen_problems(["nist_misra1a_starts", "nist_misra1a_*", "tire_l*", "mine"])
+    chosen = chosen_problems(["nist_misra1a_starts", "nist_misra1a_*", "tire_l*", "tire_?r"])
     assert chosen[:2] == ["nist_misra1a_starts", "nist_misra1a_log"]
-    assert chosen[2:] == ["tire_lf", "tire_lr", "mine"]
-    with pytest.raises(ConfigError, match=r"comparison\.problems=nits_\*: is unknown"):
-        chosen_problems(["nits_*"])
+    assert chosen[2:] == ["tire_lf", "tire_lr", "tire_rr"]
+    for unknown in ("nits_*", "nist_typo"):
+        with pytest.raises(ConfigError) as caught:
+            chosen_problems(["tire_lf", unknown])
+        message = str(caught.value)
+        assert message.startswith(f"comparison.problems={unknown}: is unknown; the closest of ")
+        assert message.count("nist_") == 5 + (unknown == "nist_typo")
+        assert message.endswith("; python -m experiments.identify problem --help lists all")
 
 
 @pytest.mark.parametrize("name", slow_drives(options("experiment")))

@@ -20,7 +20,7 @@ from experiments.app.build import (
     plain,
     recorded_optimum,
 )
-from experiments.app.compose import composed
+from experiments.app.compose import composed, option_folders
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import unknown_message
 from experiments.app.instantiation import MissingLibraryError
@@ -78,19 +78,24 @@ def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:
     return ", ".join(parts)
 
 
-def chosen_problems(patterns: Sequence[str]) -> list[str]:
+def chosen_problems(
+    patterns: Sequence[str],
+    folders: Sequence[Path] | None = None,
+    *,
+    key: str = "comparison.problems",
+) -> list[str]:
     """Problems by name or by a pattern such as `nist_*`, each once, in the order of the patterns.
 
-    Raises ConfigError for a pattern that matches no option of conf/problem.
+    `folders` of options have the problems; without, they are conf/ and the command's --config-dir.
+    Raises ConfigError, which names the setting `key`, for a pattern that matches no problem.
     """
-    known = [*recorded(), *options_of("problem")]
+    options = options_of("problem", folders or option_folders())
+    known = [*filter(options.__contains__, recorded()), *options]
     names: dict[str, None] = {}
     for pattern in patterns:
-        matching = filter_names(known, pattern) if "*" in pattern else [pattern]
+        matching = filter_names(known, pattern)
         if not matching:
-            raise ConfigError(
-                unknown_message(f"comparison.problems={pattern}", options_of("problem"))
-            )
+            raise ConfigError(unknown_message(f"{key}={pattern}", options))
         names |= dict.fromkeys(matching)
     return list(names)
 
@@ -181,10 +186,13 @@ def draw(
     cfg: DictConfig,
     plan: Sequence[Request],
     states: Sequence[State],
-    overrides: Sequence[str],
+    words: Sequence[str],
     note: str,
 ) -> int:
-    """Draw and judge a comparison, unless some of its runs are missing; return the exit code."""
+    """Draw and judge a comparison, unless some of its runs are missing; return the exit code.
+
+    `words` of the command line are recorded with the comparison.
+    """
     failed = [s.line for s in states if s.error is None and s.reason is not None]
     if failed:
         print("\n".join(failed), file=sys.stderr)
@@ -198,7 +206,7 @@ def draw(
 
     root, output = Path(cfg.root), Path(cfg.comparison.output)
     multirun = [word for word in sys.argv[1:] if word in ("-m", "--multirun")]
-    command = ["python", "-m", "experiments.compare", *multirun, *map(shlex.quote, overrides)]
+    command = ["python", "-m", "experiments.compare", *multirun, *map(shlex.quote, words)]
     ids = [request.identity.id for request in plan]
     write_comparison(root, command, note, ids)
     if cfg.comparison.problems:

@@ -42,6 +42,14 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         return _copied(tuple(overrides))
 
 
+def option_folders() -> list[Path]:
+    """Folders of options: conf/, and inside a command also the folder of --config-dir."""
+    if not GlobalHydra.instance().is_initialized():
+        return [CONF]
+    sources = GlobalHydra.instance().config_loader().get_sources()
+    return [Path(source.path) for source in sources if source.scheme() == "file"]
+
+
 def _copied(overrides: tuple[str, ...]) -> DictConfig:
     search_path = GlobalHydra.instance().config_loader().get_search_path()
     return copy.deepcopy(_once(overrides, tuple(map(str, search_path.get_path()))))

@@ -165,8 +165,6 @@ def command(
             print(completion())
             return OK
         for folder in folders[1:]:
-            if not folder.is_dir():
-                raise ConfigError(f"--config-dir: {folder} is not a folder; check the path")
             check_folder(folder)
         if not completes:
             check_typed(overrides)

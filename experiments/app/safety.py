@@ -170,7 +170,9 @@ class ReceivedError(ConfigError):
 
 
 def check_folder(folder: Path) -> None:
-    """Raise ReceivedError for the first bad file in a folder of options."""
+    """Raise ConfigError if a folder of options is missing, ReceivedError for its first bad file."""
+    if not folder.is_dir():
+        raise ConfigError(f"--config-dir: {folder} is not a folder; check the path")
     for path in sorted((*folder.rglob("*.yaml"), *folder.rglob("*.yml"))):
         check_file(path)
 

@@ -3,6 +3,7 @@
 python -m experiments.benchmarks.reach optimizer=least_squares --seeds 20 --processes 2
 python -m experiments.benchmarks.reach optimizer=least_squares --vary starts=1,10,50 \
     --with optimizer.screen=10 --problems 'sample_*,tire_lf'
+python -m experiments.benchmarks.reach --config-dir my_options optimizer=mine --problems 'mine_*'
 python -m experiments.benchmarks.reach optimizer=least_squares --stopping
 
 The method is composed with its overrides, and each problem of conf/problem by its name. A run ends
@@ -35,7 +36,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -51,9 +51,10 @@ from experiments.app.build import (
 from experiments.app.comparing import chosen_problems
 from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
-from experiments.app.explain import parse_overrides, unknown_message
-from experiments.app.options import options_of
+from experiments.app.explain import parse_overrides
+from experiments.app.options import CONF
 from experiments.app.origin import our_code
+from experiments.app.safety import check_folder
 from experiments.app.schema import register
 from experiments.benchmarks.bars import machine
 from experiments.benchmarks.reach_tables import (
@@ -260,18 +261,11 @@ def variants(
     return variants
 
 
-def problems(patterns: str | None) -> list[str]:
-    """Names of conf/problem that match, in the given order; the arena's problems by default."""
+def problems(patterns: str | None, folders: Sequence[Path] = (CONF,)) -> list[str]:
+    """Names of problems that match, in the given order; the arena's problems by default."""
     if patterns is None:
         return chosen_problems(composed(["experiment=arena"]).comparison.problems)
-    available = options_of("problem")
-    names: dict[str, None] = {}
-    for pattern in patterns.split(","):
-        matching = [name for name in available if fnmatchcase(name, pattern.strip())]
-        if not matching:
-            raise ConfigError(unknown_message(f"--problems={pattern}", available))
-        names |= dict.fromkeys(matching)
-    return list(names)
+    return chosen_problems(patterns.split(","), folders, key="--problems")
 
 
 def _results(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
@@ -308,7 +302,8 @@ def _arguments() -> argparse.Namespace:
     )
     add = parser.add_argument
     add("overrides", nargs="*", help="for example optimizer=least_squares optimizer.screen=50")
-    add("--problems", help="names of conf/problem or patterns, with commas (default: the arena's)")
+    add("--config-dir", type=Path, metavar="FOLDER", help="a folder with your own options")
+    add("--problems", help="names of problems or patterns, with commas (default: the arena's)")
     add("--seeds", type=int, default=10, help="runs of each variant on each problem")
     add("--first", type=int, default=0, help="the first seed")
     add("--processes", type=int, default=1, help="runs at a time")
@@ -334,6 +329,13 @@ def main() -> None:
 
     def job() -> int:
         register()
+        folders, search_path = [CONF], []
+        if arguments.config_dir is not None:
+            check_folder(arguments.config_dir)
+            folders.append(arguments.config_dir)
+            search_path.append(
+                f"hydra.searchpath=[{json.dumps(str(arguments.config_dir.resolve()))}]"
+            )
         # Overrides of the method (True) define the variants, the others apply to every problem.
         overrides_of: dict[bool, list[str]] = {True: [], False: []}
         for text, override in zip(
@@ -344,15 +346,20 @@ def main() -> None:
                 raise ConfigError(f"{key}: cannot be chosen here; see --{key}s")
             overrides_of[key.partition(".")[0] == "optimizer"].append(text)
         methods = variants(overrides_of[True], arguments.vary, arguments.others)
+        methods = {name: (*search_path, *method) for name, method in methods.items()}
         for method in methods.values():
             _optimizer(method)
         seeds = range(arguments.first, arguments.first + arguments.seeds)
         parts = [tuple(seeds[i : i + SEEDS_AT_ONCE]) for i in range(0, len(seeds), SEEDS_AT_ONCE)]
-        others, stopping, wider = tuple(overrides_of[False]), arguments.stopping, arguments.wider
+        others, stopping, wider = (
+            (*search_path, *overrides_of[False]),
+            arguments.stopping,
+            arguments.wider,
+        )
         # A job for each problem, variant and handful of seeds.
         jobs = [
             Job(name, variant, method, others, part, stopping, wider)
-            for name in problems(arguments.problems)
+            for name in problems(arguments.problems, folders)
             for variant, method in methods.items()
             for part in parts
         ]

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.app.build import ConfigError
+from experiments.app.options import source
 from experiments.app.schema import register
 from experiments.benchmarks import reach
 from experiments.benchmarks.reach import DEFAULT, problems, variants, widened
@@ -167,6 +168,26 @@ def test_it_runs_and_writes_what_regenerates_it(
     assert about["variants"][DEFAULT] == ["optimizer=least_squares", "optimizer.screen=20"]
     last = printed.splitlines()[-1].split()
     assert last[:5] == ["variable_projection", "6", "6", "6", "6"]
+
+
+def test_problems_and_methods_of_a_further_folder(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    texts = {
+        "problem/mine": source("problem", "torque_05"),
+        "optimizer/own": source("optimizer", "variable_projection"),
+    }
+    for name, text in texts.items():
+        path = tmp_path / "own" / f"{name}.yaml"
+        path.parent.mkdir(parents=True)
+        path.write_text(text.replace("name: torque_05", "name: mine"), encoding="utf-8")
+    arguments = ("optimizer=own", "--problems", "min?", "--seeds", "2")
+    assert call(monkeypatch, *arguments) == 2
+    assert "optimizer=own: is unknown" in capsys.readouterr().err
+    assert call(monkeypatch, *arguments, "--config-dir", str(tmp_path / "own")) == 0
+    assert capsys.readouterr().out.splitlines()[2].split()[:5] == ["mine", "6", "6", "6", "6"]
+    assert call(monkeypatch, *arguments, "--config-dir", str(tmp_path / "none")) == 2
+    assert "none is not a folder" in capsys.readouterr().err
 
 
 @pytest.mark.slow
