@@ -26,7 +26,7 @@ from omegaconf import DictConfig
 
 from experiments.app.comparing import draw, note_on_size, planned_arena
 from experiments.app.console import OK, EndedError, command
-from experiments.app.launch import Sweep
+from experiments.app.launch import Sweep, typed
 from experiments.app.plan import sweep_settings
 from experiments.app.run_text import print_summary
 from experiments.app.runs import run
@@ -45,13 +45,14 @@ SETTINGS = {
 def compare(cfg: DictConfig) -> None:
     """Run an arena (every method on every problem for each repetition), then draw and judge it."""
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
+    words = typed(HydraConfig.get())
     settings = sweep_settings(cfg.sweep)
     plan, note = planned_arena(cfg, overrides)
-    runs = run(plan, settings, fresh=cfg.fresh, overrides=overrides, tracking=cfg.tracking)
+    runs = run(plan, settings, fresh=cfg.fresh, overrides=words, tracking=cfg.tracking)
     if settings.dry_run:
         print_summary(runs.states)
         return
-    code = draw(cfg, plan, runs.states, overrides, note)
+    code = draw(cfg, plan, runs.states, words, note)
     runs.raise_if_stopped()
     if code != OK:
         raise EndedError(code)

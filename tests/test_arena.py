@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from experiments.app.console import SOME_FAILED
 from experiments.app.drawing import draw_arena, read_comparison
 from experiments.app.execution import execution_of
 from experiments.app.options import source
+from experiments.app.plan import Request
 from experiments.app.runs import PlanOutcome
 from experiments.app.schema import register
 from experiments.app.working import State
@@ -82,7 +84,6 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
 ) -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
     planned = plan_arena(composed(overrides), overrides)
-    assert len(planned.plan) == 12
     lost = State(planned.plan[0], Status.LOST, "it was lost", reason="killed by SIGKILL")
     monkeypatch.setattr("experiments.app.comparing.plan_arena", lambda *_: planned)
     monkeypatch.setattr(comparing, "run", lambda *_, **__: PlanOutcome([lost]))
@@ -94,6 +95,40 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
     assert lines[0] == "it was lost"
     assert lines[1].startswith("runs missing: 1")
     assert not (tmp_path / "runs" / "figures").exists()
+
+
+def test_problems_of_a_further_folder_match_patterns_and_the_folder_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "own" / "problem"
+    folder.mkdir(parents=True)
+    for name, dataset in {"mine_a": "torque_15", "mine_b": "brake_pressure"}.items():
+        (folder / f"{name}.yaml").write_text(
+            f"# @package _global_\ndefaults: [override /dataset: {dataset}]\n"
+            f"problem: {{name: {name}, family: {name}}}\n",
+            encoding="utf-8",
+        )
+    planned: list[str] = []
+    drawn: list[list[str]] = []
+
+    def run(plan: Sequence[Request], *_: object, **__: object) -> PlanOutcome:
+        planned.extend(request.identity.problem for request in plan)
+        return PlanOutcome()
+
+    def draw(*arguments: Any) -> int:
+        drawn.append(arguments[3])
+        return 0
+
+    monkeypatch.setattr(comparing, "run", run)
+    monkeypatch.setattr(comparing, "draw", draw)
+    overrides = [*ARENA, *METHODS, "comparison.problems=[mine_*]", f"root={tmp_path / 'runs'}"]
+    chosen = ["--config-dir", str(folder.parent), *overrides, "fresh=true"]
+    monkeypatch.setattr(sys, "argv", ["compare", *chosen])
+    with pytest.raises(SystemExit) as end:
+        comparing.main()
+    assert not end.value.code
+    assert planned == ["mine_a"] * 6 + ["mine_b"] * 6
+    assert drawn == [[f"--config-dir={folder.parent}", *overrides]]
 
 
 def _model(cfg: Any) -> str:

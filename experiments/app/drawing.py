@@ -36,8 +36,6 @@ from miho.vehicle.models import Axle
 TIRES = ("lf", "rf", "lr", "rr")
 HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])
 """Factors from the curve (B, C, D, Sx, Sy) of an axle to the curve of one of two equal tires."""
-DRAWS = "python -m experiments.figures"
-"""Beginning of a command that makes no runs."""
 LEFT_OUT = ("best [", "worst [", "reason")
 """First words of columns that only the files of a table have."""
 CAPTIONS = {
@@ -96,7 +94,9 @@ def draw_comparison(
     if message := missing_runs(root, problem):
         print(message, file=sys.stderr)
     runs, curves = compared(root, methods, problem, ids)
-    comparison = Comparison.of_stored(runs, curves, command or _made_by(root, runs))
+    sweeps = [" ".join(command)] if command else _made_by(root, runs)
+    made_by = " && ".join(sweeps) or command_line("experiments.figures")
+    comparison = Comparison.of_stored(runs, curves, [made_by])
     runs, note = comparison.runs, comparison.note
     title = f"{problem}: " if problem else ""
     paths = save(fig6(runs, curves, note=title + note), output / "fig6")
@@ -108,8 +108,7 @@ def draw_comparison(
     for name, table in tables.items():
         shown = table[[column for column in table if not str(column).startswith(LEFT_OUT)]]
         print(f"{CAPTIONS[name]} Runs: {comparison.note}.\n\n{table_text(shown)}\n")
-    made_by = " ".join(comparison.command)
-    if advice := clock_of(runs).advice("" if made_by.startswith(DRAWS) else made_by):
+    if advice := clock_of(runs).advice(sweeps):
         print(advice, file=sys.stderr)
     for method in stuck(curves):
         print(
@@ -169,18 +168,13 @@ def _of(names: Sequence[str]) -> str:
     return f"expected one of {', '.join(names)}"
 
 
-def _made_by(root: Path, runs: pd.DataFrame) -> Sequence[str]:
-    """Command that made these runs: a comparison of exactly them, or the sweeps of the root.
-
-    If neither is recorded, the command that draws them.
-    """
+def _made_by(root: Path, runs: pd.DataFrame) -> list[str]:
+    """Commands that made these runs, if recorded: their comparison, or the sweeps of the root."""
     declared = Comparison.of(runs, runs, root)
     if declared is not None and len(declared.runs) == len(runs):
-        return declared.command
-    sweeps = [
-        ["python", "-m", "experiments.identify", "-m", *words] for words in sweep_overrides(root)
-    ]
-    return [" && ".join(map(shlex.join, sweeps)) or command_line("experiments.figures")]
+        return [" ".join(declared.command)]
+    identify = ["python", "-m", "experiments.identify", "-m"]
+    return [shlex.join([*identify, *words]) for words in sweep_overrides(root)]
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:

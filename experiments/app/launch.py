@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hydra.conf import HydraConf
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -24,7 +25,6 @@ from experiments.app.plan import Request, Trials, requests, sweep_settings
 from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 from experiments.app.working import State
-from miho.study import Store
 
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
 """Keys of the seed and of the execution, which do not describe the setting of a run."""
@@ -82,14 +82,12 @@ def launch(
         raise ConfigError(f"-m: has no values to sweep over; give some, such as seed=0,1{within}")
     if task.sweep is None:
         cfg = job_config(_copied(config), config.hydra.runtime.choices)
-        task.sweep = Sweep(cfg, _typed(config))
+        task.sweep = Sweep(cfg, typed(config.hydra))
     sweep, checked = task.sweep, sweep_settings(settings)
     task.composing.cancel()
     composed = _composed(jobs, context, config)
     plan = _planned(jobs, composed, checked.time_limit)
     _announce(jobs, composed, context, task)
-    if checked.timed and config.fresh:
-        set_aside_disturbed(plan)
     outcome = run(
         plan, checked, fresh=config.fresh, overrides=sweep.typed, tracking=config.tracking
     )
@@ -159,23 +157,17 @@ def _is_of(text: str, keys: Sequence[str]) -> bool:
     return text.lstrip("+~").partition("=")[0].partition(".")[0].partition("/")[0] in keys
 
 
-def _typed(config: DictConfig) -> list[str]:
-    """Folders of options and overrides of the whole multirun, for its record in the root."""
-    sources = config.hydra.runtime.config_sources
+def typed(node: HydraConf) -> list[str]:
+    """Folders of options and overrides of the whole command, for its record in the root.
+
+    `node` is Hydra's configuration. Settings that change no result are left out.
+    """
+    sources = node.runtime.config_sources
     folders = [Path(source.path) for source in sources if source.provider == "command-line"]
     here = Path.cwd()
     folders = [path.relative_to(here) if path.is_relative_to(here) else path for path in folders]
-    overrides = [x for x in config.hydra.overrides.task if not _is_of(x, ("fresh", "sweep"))]
+    overrides = [x for x in node.overrides.task if not _is_of(x, ("fresh", "sweep"))]
     return [*(f"--config-dir={folder}" for folder in folders), *overrides]
-
-
-def set_aside_disturbed(plan: Sequence[Request]) -> None:
-    """Set aside the finished runs whose seconds are not valid, so that they are repeated."""
-    for request in plan:
-        store = Store(Path(request.root))
-        stored = store.find(request.identity)
-        if stored is not None and not stored.result["facts"].get("timing_valid"):
-            store.set_aside(stored.folder)
 
 
 def _announce(

@@ -88,6 +88,8 @@ def run(
         runs.states += [replace(stored_state(request), reason=None) for request in unique]
         return runs
     check_tracking(tracking)
+    if settings.timed and fresh:
+        set_aside_disturbed(unique)
     at_once: int | str = HERE if here else settings.workers
     _refuse_and_list(unique, overrides, fresh=fresh, in_process=here)
     try:
@@ -104,6 +106,15 @@ def run(
         runs.states += _unknown(unique, runs.states)
         runs.stopped = stopped
     return runs
+
+
+def set_aside_disturbed(plan: Sequence[Request]) -> None:
+    """Set aside the finished runs whose seconds are not valid, so that they are repeated."""
+    for request in plan:
+        store = Store(Path(request.root))
+        stored = store.find(request.identity)
+        if stored is not None and not stored.result["facts"].get("timing_valid"):
+            store.set_aside(stored.folder)
 
 
 def _refuse_and_list(

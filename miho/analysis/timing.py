@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -12,6 +13,8 @@ from miho.analysis.tidy import require_columns
 VALID = "timing_valid"
 QUIET_SHARE = 0.5
 """Wall seconds are shown if more than this share of each problem's seeds was undisturbed."""
+REPEAT = "sweep.timed=true fresh=true"
+"""Settings with which a sweep repeats its runs whose seconds are not valid."""
 UNITS = {"seconds": "seconds", "cpu_seconds": "CPU seconds", "evaluations": "evaluations"}
 
 
@@ -41,17 +44,18 @@ class Clock:
         """Unit of the axis, for example "CPU seconds"."""
         return UNITS[self.axis]
 
-    def advice(self, command: str) -> str:
-        """How to get wall seconds by `command`, if it is known; empty if the clock has them."""
+    def advice(self, commands: Sequence[str]) -> str:
+        """How to get wall seconds by the commands that made the runs; empty if the clock has them.
+
+        Without commands only the reason is given.
+        """
         if self.axis == "seconds":
             return ""
         reason = f"CPU seconds replace seconds, because {self.disturbed}"
-        if not command:
+        if not commands:
             return reason
-        return (
-            f"{reason}; for wall seconds, run this while the machine is otherwise idle: "
-            f"{command} fresh=true"
-        )
+        again = " && ".join(f"{command} {REPEAT}" for command in commands)
+        return f"{reason}; for wall seconds, run this while the machine is otherwise idle: {again}"
 
 
 def undisturbed(runs: pd.DataFrame) -> pd.Series[bool]:

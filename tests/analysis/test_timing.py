@@ -23,7 +23,7 @@ def runs(*valid: bool | None) -> pd.DataFrame:
 def test_valid_runs_are_all_shown_in_wall_seconds() -> None:
     clock = clock_of(runs(True, True, True, True))
     assert (clock.axis, len(clock.runs), clock.note) == ("seconds", 4, "")
-    assert clock.advice("python -m it") == ""
+    assert clock.advice(["python -m it"]) == ""
 
 
 def test_methods_stay_paired_where_most_seeds_are_quiet() -> None:
@@ -45,8 +45,9 @@ def test_where_half_of_the_seeds_or_more_are_disturbed_it_is_the_processors(
     clock = clock_of(runs(*valid))
     assert (clock.axis, clock.unit) == ("cpu_seconds", "CPU seconds")
     assert len(clock.runs) == len(valid)
-    assert clock.advice("python -m it").endswith("otherwise idle: python -m it fresh=true")
-    assert "fresh" not in clock.advice("")
+    again = "sweep.timed=true fresh=true"
+    assert clock.advice(["do a", "do b"]).endswith(f"idle: do a {again} && do b {again}")
+    assert "fresh" not in clock.advice([])
 
 
 def test_disturbed_and_unwatched_runs_are_counted_apart() -> None:

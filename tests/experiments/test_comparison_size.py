@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from experiments.app.compose import composed
-from experiments.app.launch import set_aside_disturbed
 from experiments.app.plan import Request, requests
-from experiments.app.schema import register
+from experiments.app.runs import run, set_aside_disturbed
+from experiments.app.schema import SweepConfig, register
 from miho.analysis.compare.size import PAPER, mismatch, settings_by_method, size_note
 from miho.optim import Budget, RandomSearch, minimize
-from miho.study import Store, load_runs
+from miho.study import Status, Store, load_runs
 from miho.testing import DecayFit
 
 register()
@@ -24,7 +24,9 @@ def stored(root: Path, *overrides: str, valid: bool = True, seed: int = 0) -> Re
     record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), seed)
     store = Store(root)
     with store.claim(request.identity):
-        store.commit(request.identity, record, DecayFit.space, {}, {"timing_valid": valid})
+        store.commit(
+            request.identity, record, DecayFit.space, {}, {"timing_valid": valid, "unit": "N"}
+        )
     return request
 
 
@@ -35,6 +37,13 @@ def test_fresh_makes_room_for_what_was_disturbed_as_often_as_asked(tmp_path: Pat
         set_aside_disturbed([quiet, disturbed])
         assert load_runs(tmp_path).runs["seed"].tolist() == [0]
     assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 3
+
+
+def test_fresh_repeats_disturbed_runs_only_where_seconds_count(tmp_path: Path) -> None:
+    request = stored(tmp_path, "optimizer=random", "budget.evaluations=20", valid=False)
+    for timed, status in ((False, Status.DONE_BEFORE), (True, Status.RAN)):
+        (state,) = run([request], SweepConfig(timed=timed), here=True, fresh=True).states
+        assert state.status is status
 
 
 @pytest.mark.parametrize("method", PAPER)
