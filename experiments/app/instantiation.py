@@ -23,7 +23,7 @@ from experiments.app.safety import (
     nested_target,
 )
 from experiments.app.schema import RENAMED
-from miho.models.user_file import defined_in, executed
+from miho.models.user_file import defined_in, executed, raised
 from miho.optim import Optimizer
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
@@ -70,6 +70,10 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
         raise ConfigError(f"{key}: {error}") from None
     except MemoryError:
         raise ConfigError(f"{key}: is too large for the memory of this machine") from None
+    except Exception as error:
+        if not own:
+            raise
+        raise ConfigError(f"{key}: {raised(error, Path(node['path']))}") from None
     return built
 
 
@@ -93,6 +97,10 @@ def _own_class(node: Mapping[str, Any], key: str, kind: type[T]) -> Callable[...
     except ValueError as error:
         raise ConfigError(str(error)) from None
     classes = {name: member for name, member in members.items() if is_final(member, kind)}
+    if name is None:
+        raise ConfigError(
+            f"{key}._target_: is missing; name a class of {path}: {', '.join(classes) or 'none'}"
+        )
     if name not in classes:
         if lacking := getattr(members.get(str(name)), "__abstractmethods__", None):
             raise ConfigError(

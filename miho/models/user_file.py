@@ -146,6 +146,13 @@ def load_trajectory(
     )
 
 
+def raised(error: BaseException, source: Path) -> str:
+    """An exception of the user's file with its line there, for a message."""
+    line = line_in(error, str(source))
+    place = f"{source}:{line}" if line else str(source)
+    return f"{place}: raises {type(error).__name__}: {error}"
+
+
 def executed(source: Path) -> types.ModuleType:
     """Execute a Python file and return its module; objects of its classes can be pickled.
 
@@ -164,9 +171,7 @@ def executed(source: Path) -> types.ModuleType:
     except SyntaxError as error:
         raise ValueError(f"{source}:{error.lineno or 1}: {error.msg}; correct it") from None
     except (Exception, SystemExit) as error:
-        line = line_in(error, str(source))
-        place = f"{source}:{line}" if line else str(source)
-        raise ValueError(f"{place}: raises {type(error).__name__}: {error}") from error
+        raise ValueError(raised(error, source)) from error
     finally:
         if added:
             sys.modules.pop(module.__name__, None)

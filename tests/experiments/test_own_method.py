@@ -42,6 +42,11 @@ class Other(miho.Optimizer):
 
 class Bare(miho.Optimizer):
     pass
+
+
+class Broken(Walk):
+    def __init__(self):
+        1 / 0
 """
 register()
 
@@ -53,7 +58,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def config(file: Path, target: str = "Walk", **settings: object) -> DictConfig:
+def config(file: Path, target: str | None = "Walk", **settings: object) -> DictConfig:
     cfg = composed(["dataset.n=40", "budget.evaluations=20", f"root={file.parent / 'runs'}"])
     with open_dict(cfg):
         cfg.optimizer = {"_target_": target, "path": str(file)} | settings
@@ -103,6 +108,8 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
         ),
         ("MIHOGN", {}, "has no class MIHOGN"),
         ("Path", {}, "has no class Path"),
+        ("Broken", {}, r"optimizer: .*walk.py:33: raises ZeroDivisionError: division by zero$"),
+        (None, {}, r"optimizer._target_: is missing; name a class of .*walk.py: Walk, Other"),
         ("Bare", {}, r"_target_: Bare in .*walk.py lacks run"),
         ("os.system", {}, "has no class os.system"),
         ("Walk", {"point": 3}, r"optimizer.point: is unknown; did you mean points\?"),
@@ -111,7 +118,7 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
     ],
 )
 def test_a_mistake_is_one_line(
-    file: Path, target: str, settings: dict[str, object], message: str
+    file: Path, target: str | None, settings: dict[str, object], message: str
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         build_optimizer(config(file, target, **settings))
