@@ -26,6 +26,8 @@ from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 from experiments.app.working import State
 
+SWEEPER = ("hydra/sweeper", "hydra.sweeper")
+"""Beginnings of overrides that choose the jobs of a sweep."""
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
 """Keys of the seed and of the execution, which do not describe the setting of a run."""
 
@@ -167,7 +169,8 @@ def typed(node: HydraConf) -> list[str]:
     here = Path.cwd()
     folders = [path.relative_to(here) if path.is_relative_to(here) else path for path in folders]
     overrides = [x for x in node.overrides.task if not _is_of(x, ("fresh", "sweep"))]
-    return [*(f"--config-dir={folder}" for folder in folders), *overrides]
+    sweeper = [x for x in node.overrides.hydra if x.lstrip("+").startswith(SWEEPER)]
+    return [*(f"--config-dir={folder}" for folder in folders), *overrides, *sweeper]
 
 
 def _announce(
