@@ -36,7 +36,7 @@ def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> 
             for level in (0.5, 1.0):
                 ax.axhline(level, color="#888888", linewidth=0.6, linestyle=":")
             ax.set(xlabel="", ylabel="")
-            plain_log_ticks(ax)
+            plain_log_ticks(ax.yaxis)
         for ax in axes[: len(readings)][-COLUMNS:]:
             ax.tick_params(labelbottom=True)
             ax.set_xlabel("evaluations of the full loss", fontsize=8)

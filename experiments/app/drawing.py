@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,14 +22,14 @@ from experiments.app.run_text import table_text
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.compare.claims import is_on_a_tire
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
-from miho.analysis.compare.size import Methods, chosen
+from miho.analysis.compare.size import PAPER_METHODS, Methods, chosen
 from miho.analysis.figures.paper import AxleCurve, fig4_right
 from miho.analysis.timing import clock_of
-from miho.analysis.variants import named_apart
+from miho.analysis.variants import base_name, named_apart
 from miho.data import Dataset
 from miho.study import StoredRun, load_runs, read_run
 from miho.study.index import without_runs
-from miho.study.manifest import missing_runs, sweep_overrides
+from miho.study.manifest import missing_runs, sweep_overrides, without_result
 from miho.study.provenance import IDENTITY, command_line, write_provenance
 from miho.vehicle.driving.assembly.engine import DATASETS, engine_of, fig5_data
 from miho.vehicle.models import Axle
@@ -97,9 +98,11 @@ def draw_comparison(
     sweeps = [" ".join(command)] if command else _made_by(root, runs)
     made_by = " && ".join(sweeps) or command_line("experiments.figures")
     comparison = Comparison.of_stored(runs, curves, [made_by])
+    if ids is None and (lacking := _lacking(root, problem, methods)):
+        comparison = replace(comparison, note=f"{comparison.note}, {lacking}")
     runs, note = comparison.runs, comparison.note
-    title = f"{problem}: " if problem else ""
-    paths = save(fig6(runs, curves, note=title + note), output / "fig6")
+    title = runs["problem"].iloc[0]
+    paths = save(fig6(runs, curves, note=f"{title}: {note}"), output / "fig6")
     of_paper = is_on_a_tire(runs)
     tables = {"results": results_table(runs, curves, targets=None if of_paper else ())}
     if of_paper:
@@ -117,6 +120,17 @@ def draw_comparison(
             file=sys.stderr,
         )
     return [*paths, *table_paths, write_origin(comparison, output)]
+
+
+def _lacking(root: Path, problem: str | None, methods: Methods | None) -> str:
+    """The planned runs without a result by method, as "without a result: 2 runs of random"."""
+    folders, _ = without_result(root, problem)
+    counts = Counter(folder.parent.name for folder in folders)
+    if methods is not None:
+        names = PAPER_METHODS if methods == "paper" else {base_name(name) for name in methods}
+        counts = Counter({name: counts[name] for name in names if name in counts})
+    runs = [f"{n:,} run{'s' * (n > 1)} of {name}" for name, n in sorted(counts.items())]
+    return f"without a result: {', '.join(runs)}" if runs else ""
 
 
 def stuck(curves: pd.DataFrame) -> list[str]:

@@ -51,6 +51,29 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
     assert "irreducible error, 0.38 to 0.40 kN" in small.replace("\n", " ")
 
 
+def test_fig6_says_which_method_has_fewer_runs() -> None:
+    runs, curves = like_fig6(3)
+    runs, curves = (frame[frame["id"] != "miho-1"] for frame in (runs, curves))
+    counted = [text for text in texts(fig6(runs, curves)) if text.endswith(" of 3)")]
+    assert [text[4:] for text in counted] == ["  MIHO (2 of 3)"]
+
+
+@pytest.mark.parametrize(("end", "plain"), [(20.0, True), (1e4, False)])
+def test_labels_of_a_short_axis_are_plain_numbers_and_do_not_overlap(
+    end: float, plain: bool
+) -> None:
+    _, curves = frames({"miho": [[(1.0, 900.0), (end, 400.0)]]})
+    figure = Figure(figsize=(3, 2))
+    ax = figure.subplots()
+    plot_error_over(curves, "evaluations", ax, grid=np.geomspace(1, end))
+    figure.draw_without_rendering()
+    shown = [text for text in ax.get_xticklabels(which="both") if text.get_text()]
+    assert ("5" in [text.get_text() for text in shown]) == plain
+    visible = [text for text in shown if ax.get_xlim()[0] <= text.get_position()[0] <= end]
+    boxes = sorted((text.get_window_extent() for text in visible), key=lambda box: box.x0)
+    assert all(one.x1 < other.x0 for one, other in pairwise(boxes))
+
+
 def test_fig6_has_its_labels_beside_the_papers_panel_and_no_text_among_the_curves() -> None:
     figure = fig6(*like_fig6(3))
     over_time, over_evaluations = figure.axes
@@ -79,7 +102,7 @@ def test_fig6_draws_runs_of_other_settings_as_other_methods() -> None:
     runs["seed"], curves["seed"] = [0, 0, 1], curves["id"].map({"miho-0": 0, "miho-1": 0}).fillna(1)
     runs["optimizer.R"], curves["optimizer.R"] = runs["id"].map(R), curves["id"].map(R)
     labels = {label.get_text() for label in fig6(runs, curves).axes[0].texts}
-    assert labels == {"0.40  MIHO R=300", "0.75  MIHO R=1000"}
+    assert labels == {"0.40  MIHO R=300 (1 of 2)", "0.75  MIHO R=1000"}
 
 
 FULL_COMPARISON = (

@@ -75,7 +75,19 @@ def test_the_note_says_how_large_the_runs_are(tmp_path: Path) -> None:
         stored(tmp_path, *common, "optimizer=miho", "optimizer.R=2000", seed=seed)
     stored(tmp_path, *common, "optimizer=random")
     assert size_note(load_runs(tmp_path).runs) == (
-        "R = 2,000, eta = 5, 1 to 2 repetitions, at most 4 s per run"
+        "R = 2,000, eta = 5, 1 to 2 repetitions (seeds 0 to 1), at most 4 s per run"
     )
-    stored(tmp_path, *common, "optimizer=miho", "optimizer.R=300")
-    assert size_note(load_runs(tmp_path).runs) == "eta = 5, 1 to 2 repetitions, at most 4 s per run"
+    stored(tmp_path, *common, "optimizer=miho", "optimizer.R=300", seed=4)
+    assert size_note(load_runs(tmp_path).runs) == (
+        "eta = 5, 1 to 2 repetitions (3 seeds 0 to 4), at most 4 s per run"
+    )
+
+
+def test_the_note_names_the_methods_of_each_budget(tmp_path: Path) -> None:
+    for method, evaluations in {"random": "300", "pso_100": "3000", "nelder_mead": "3000"}.items():
+        limit = f"budget.evaluations={evaluations}"
+        stored(tmp_path, "dataset=tire_lf", limit, f"optimizer={method}")
+    assert size_note(load_runs(tmp_path).runs) == (
+        "1 repetition (seed 0), at most 60 s per run, at most 300 evaluations per run of random, "
+        "at most 3,000 evaluations per run of nelder_mead, pso_100"
+    )

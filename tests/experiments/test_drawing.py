@@ -83,7 +83,9 @@ def test_each_problem_of_a_root_has_its_own_figure(
     write_manifest(tmp_path, [], {str(number): r for number, r in enumerate([*runs, lost])})
     for name, missing in zip(names, (True, False), strict=True):
         assert draw(monkeypatch, f"root={tmp_path}", f"problem={name}") == 0
-        assert ("1 of 3 runs" in capsys.readouterr().err) == missing
+        out, err = capsys.readouterr()
+        assert ("1 of 3 runs" in err) == missing
+        assert ("per run, without a result: 1 run of random." in out) == missing
         assert (tmp_path / "figures" / name / "fig6.png").is_file()
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from miho.analysis.variants import base_name, named_apart, shown
 from miho.study import DamagedRun, read_run
+from miho.study.manifest import first_names
 from miho.study.provenance import flattened
 
 Settings = Mapping[str, Any]
@@ -138,8 +139,9 @@ def in_words(value: Any) -> str:
 def size_note(runs: pd.DataFrame) -> str:
     """The size of a comparison as a phrase, from the stored configurations of its runs.
 
-    For example "R = 2,000, eta = 5, 5 repetitions, at most 4 s per run". R and eta are settings of
-    MIHO; if they differ among its runs, the names of the methods contain them.
+    For example "R = 2,000, eta = 5, 5 repetitions (seeds 0 to 4), at most 4 s per run". R and eta
+    are settings of MIHO; if they differ among its runs, the names of the methods contain them. A
+    limit that differs among methods is followed by their names.
     """
     runs = named_apart(runs, of_problem=())
     settings = settings_by_method(runs)
@@ -151,10 +153,20 @@ def size_note(runs: pd.DataFrame) -> str:
     counts = runs.groupby("optimizer")["seed"].nunique()
     fewest, most = int(counts.min()), int(counts.max())
     several = f"{most}" if fewest == most else f"{fewest} to {most}"
-    parts.append(f"{several} repetition{'s' * (most > 1)}")
+    parts.append(f"{several} repetition{'s' * (most > 1)} ({_seeds(runs['seed'])})")
     for path, unit in (("budget.seconds", "s"), ("budget.evaluations", "evaluations")):
-        limits = sorted({s[path] for s in settings.values() if s.get(path) is not None})
-        if limits:
-            ends = dict.fromkeys(in_words(limit) for limit in (limits[0], limits[-1]))
-            parts.append(f"at most {' to '.join(ends)} {unit} per run")
+        by_limit: dict[Any, list[str]] = {}
+        for name, of_method in settings.items():
+            by_limit.setdefault(of_method.get(path), []).append(name)
+        for limit in sorted(by_limit.keys() - {None}):
+            of = f" of {first_names(by_limit[limit])}" * (len(by_limit) > 1)
+            parts.append(f"at most {in_words(limit)} {unit} per run{of}")
     return ", ".join(parts)
+
+
+def _seeds(seeds: pd.Series[int]) -> str:
+    """For example "seeds 0 to 4"."""
+    low, high, count = int(seeds.min()), int(seeds.max()), seeds.nunique()
+    if count == 1:
+        return f"seed {low}"
+    return f"{'' if count == high - low + 1 else f'{count} '}seeds {low} to {high}"

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
@@ -145,6 +146,7 @@ def fig6(
     Time is wall time, or CPU time if other work disturbed the runs, as `timing.clock_of` decides
     for the whole figure; the axis says which. The mean final error of each method is printed next
     to its curve in its colour; "-" if a run has no finite error, which leaves the mean undefined.
+    A method with fewer runs than others has the number of them, as in "(2 of 5)".
     The grey band is the interval of the estimated irreducible error.
 
     Parameters
@@ -190,7 +192,7 @@ def fig6(
         wall = clock.axis == "seconds"
         above.set_title("as in the paper: over time" if wall else "over CPU time", loc="left")
         below.set_title("the same over evaluations", loc="left")
-        plain_log_ticks(above)
+        plain_log_ticks(above.yaxis)
         lines = "lines: mean over repetitions, bands: 10 to 90 %"
         disturbed = clock.note if wall else ""
         caption(figure, lines, band if irreducible else "", disturbed, note)
@@ -252,6 +254,8 @@ def plot_error_over(
         ax.plot(at[running], mean[running], label=style.name, zorder=layer, **style.line)
         ax.plot(at[~running], mean[~running], color=style.color, linewidth=0.6, zorder=layer)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
+    if grid[-1] < SHORT * grid[0]:  # labels such as 2 x 10^-3 would overlap
+        plain_log_ticks(ax.xaxis)
     ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown_in}]")
     if irreducible is not None:
         low_end, high_end = (end * factor for end in irreducible)
@@ -263,12 +267,15 @@ def plot_error_over(
 def _final_labels(
     runs: pd.DataFrame, factor: float, styles: Mapping[str, MethodStyle]
 ) -> list[EndLabel]:
-    """Mean final error per method; NaN if a run has no finite error."""
+    """Mean final error per method, NaN if a run has no finite error; its runs if others have more."""
     labels = []
+    counts = runs["optimizer"].value_counts()
+    most = counts.max()
     for method, style in styles.items():
         errors = runs.loc[runs["optimizer"] == method, "error"].to_numpy(dtype=float) * factor
         final = float(errors.mean()) if np.isfinite(errors).all() else float("nan")
-        labels.append(EndLabel(final, f"{_rounded(final)}  {style.name}", style))
+        fewer = f" ({counts[method]} of {most})" * bool(counts[method] < most)
+        labels.append(EndLabel(final, f"{_rounded(final)}  {style.name}{fewer}", style))
     return labels
 
 
@@ -277,13 +284,15 @@ def _rounded(error: float) -> str:
     return f"{error:.2f}" if 0.1 <= error < 10 else number(error)
 
 
-def plain_log_ticks(ax: Axes) -> None:
+def plain_log_ticks(axis: XAxis | YAxis) -> None:
     """Ticks at 1, 2, 5 times powers of ten, written as plain numbers."""
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
+SHORT = 30
+"""Ratio of the ends of a short logarithmic axis."""
 MARGIN = 1.5
 """Range of slip angles of drawn curves, relative to the driving data."""
 
