@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from miho.analysis.compare.running_time import NEAR_BEST, at_factor, references
 from miho.analysis.compare.significance import ranks
-from miho.analysis.curves import log_grid, positions, step
+from miho.analysis.curves import log_grid, positions, step, until
 from miho.analysis.figures.house import (
     AXIS_LABELS,
     NARROW,
@@ -110,13 +110,14 @@ def plot_gap(
         if method not in gaps:
             continue
         low, median, high = np.quantile(gaps[method], QUANTILES, axis=0, method="higher")
+        running = until(grid, ends[method])
         low, median, high = (
-            np.where((grid <= ends[method]) & np.isfinite(q), q.clip(GAP_FLOOR), np.nan)
+            np.where(np.isfinite(q), q.clip(GAP_FLOOR), np.nan)[running]
             for q in (low, median, high)
         )
-        ax.plot(grid, median, zorder=2 + 0.01 * order, **style.line)
+        ax.plot(grid[running], median, zorder=2 + 0.01 * order, **style.line)
         if style != style.muted:
-            ax.fill_between(grid, low, high, color=style.color, alpha=0.15, linewidth=0)
+            ax.fill_between(grid[running], low, high, color=style.color, alpha=0.15, linewidth=0)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
     _powers_of_ten(ax.xaxis)
     _powers_of_ten(ax.yaxis)

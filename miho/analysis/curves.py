@@ -82,6 +82,20 @@ def step(at: Array, errors: Array, grid: Array) -> Array:
     return np.concatenate([[np.nan], errors[order]])[index]
 
 
+def until(grid: Array, end: float) -> slice:
+    """Positions of a grid (g,) up to the first one at or after `end`, where a run's last row counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from miho.analysis.curves import until
+    >>> grid = np.array([1.0, 2.0, 4.0, 8.0])
+    >>> grid[until(grid, 3.0)].tolist()
+    [1.0, 2.0, 4.0]
+    """
+    return slice(0, int(np.searchsorted(grid, end)) + 1)
+
+
 def summary(
     gridded: pd.DataFrame, axis: Axis, quantiles: tuple[float, float] = (0.1, 0.9)
 ) -> pd.DataFrame:

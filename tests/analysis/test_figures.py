@@ -34,8 +34,17 @@ def test_beyond_its_end_a_method_goes_on_thin() -> None:
     ax = Figure().subplots()
     plot_error_over(curves, "evaluations", ax, grid=np.array([1.0, 10.0, 100.0, 1e6]))
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), [1, 10])
-    np.testing.assert_array_equal(ax.lines[1].get_xdata(), [100, 1e6])
+    np.testing.assert_array_equal(ax.lines[1].get_xdata(), [10, 100, 1e6])
     assert ax.lines[1].get_linewidth() < ax.lines[0].get_linewidth()
+
+
+def test_an_improvement_at_the_end_of_a_run_is_drawn_as_its_own() -> None:
+    steps = {"miho": [[(1.0, 900.0), (40.0, 400.0)]], "random": [[(1.0, 900.0)]]}
+    _, curves = frames(steps, ends={"miho": 40.0})
+    ax = Figure().subplots()
+    plot_error_over(curves, "evaluations", ax, grid=np.array([1.0, 10.0, 100.0, 1e6]))
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [0.9, 0.9, 0.4])
+    np.testing.assert_allclose(np.asarray(ax.lines[1].get_ydata()), [0.4, 0.4])
 
 
 def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:

@@ -60,7 +60,15 @@ def test_a_gap_that_is_not_positive_is_drawn_at_the_floor() -> None:
 
 def test_a_line_ends_where_the_last_run_ended() -> None:
     ax = gap_panel([[(1, 300.0)]] * 2, ends=100.0)
-    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [2, 2, 2, np.nan])
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), GRID[:3])
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [2, 2, 2])
+
+
+def test_an_improvement_at_the_end_of_a_run_is_drawn() -> None:
+    """The run ends between two positions of the grid, as a run that reaches its target does."""
+    ax = gap_panel([[(1, 300.0), (40, 101.0)]], ends=40.0)
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), GRID[:3])
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [2, 2, 0.01])
 
 
 def test_only_highlighted_methods_have_a_band() -> None:

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from miho.analysis.compare.size import Methods, chosen
-from miho.analysis.curves import Axis, log_grid, on_grid, summary
+from miho.analysis.curves import Axis, log_grid, on_grid, summary, until
 from miho.analysis.figures.house import (
     AXIS_LABELS,
     NARROW,
@@ -248,11 +248,14 @@ def plot_error_over(
         rows = means[means["optimizer"] == method]
         at = rows[axis].to_numpy(dtype=float)
         mean, low, high = (rows[c].to_numpy(dtype=float) * factor for c in ("mean", "low", "high"))
-        running = at <= ends[method]
+        running = until(at, ends[method])
         layer = 3 - 0.01 * order
-        ax.fill_between(at, low, high, where=running, color=style.color, alpha=0.13, linewidth=0)
+        ax.fill_between(
+            at[running], low[running], high[running], color=style.color, alpha=0.13, linewidth=0
+        )
         ax.plot(at[running], mean[running], label=style.name, zorder=layer, **style.line)
-        ax.plot(at[~running], mean[~running], color=style.color, linewidth=0.6, zorder=layer)
+        rest = slice(running.stop - 1, None)
+        ax.plot(at[rest], mean[rest], color=style.color, linewidth=0.6, zorder=layer)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
     if grid[-1] < SHORT * grid[0]:  # labels such as 2 x 10^-3 would overlap
         plain_log_ticks(ax.xaxis)
