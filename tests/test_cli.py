@@ -575,6 +575,7 @@ def test_a_full_disk_is_exit_4(identify: Command, monkeypatch: pytest.MonkeyPatc
     last = err.splitlines()[-1]
     assert last.startswith("error: /")
     assert last.endswith("/config.json: No space left on device")
+    assert "Error executing job" not in err
 
 
 @pytest.mark.slow

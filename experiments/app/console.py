@@ -110,12 +110,12 @@ class Job:
         return vars(self) | {"composing": None}
 
     def __call__(self, cfg: DictConfig) -> float | None:
-        """Run one job; bad input of a single run, or an ending that it printed, is no failure."""
+        """Run one job; bad input or storage of a single run, or a printed ending, is no failure."""
         context = HydraConfig.get()
         alone = context.mode is RunMode.RUN
         try:
             return self.task(job_config(cfg, context.runtime.choices))
-        except (*BAD_INPUT_ERRORS, ResumeRefused, EndedError) as error:
+        except (*BAD_INPUT_ERRORS, OSError, ResumeRefused, EndedError) as error:
             if alone:
                 raise _Refused from error
             raise
