@@ -97,17 +97,33 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
     assert not (tmp_path / "runs" / "figures").exists()
 
 
+def own_problems(folder: Path, **families: str) -> Path:
+    """A folder of options with a problem for each family, and their data by turns."""
+    (folder / "problem").mkdir(parents=True)
+    for number, (name, family) in enumerate(families.items()):
+        dataset = ("torque_15", "brake_pressure")[number % 2]
+        (folder / "problem" / f"{name}.yaml").write_text(
+            f"# @package _global_\ndefaults: [override /dataset: {dataset}]\n"
+            f"problem: {{name: {name}, family: {family}}}\n",
+            encoding="utf-8",
+        )
+    return folder
+
+
+@pytest.mark.slow
+def test_problems_of_a_further_folder_keep_their_families(tmp_path: Path) -> None:
+    own = own_problems(tmp_path / "own", mine_a="mine", mine_b="mine", mine_c="other")
+    chosen = ["comparison.problems=[mine_*]", "comparison.repetitions=1", "budget.evaluations=60"]
+    ended = compare(*ARENA, *METHODS, *chosen, f"--config-dir={own}", f"root={tmp_path / 'runs'}")
+    assert ended.returncode == 0, ended.stderr
+    for text in ("3 problems", "2 families"):
+        assert f"Friedman's test over {text} and 3 methods" in ended.stdout
+
+
 def test_problems_of_a_further_folder_match_patterns_and_the_folder_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = tmp_path / "own" / "problem"
-    folder.mkdir(parents=True)
-    for name, dataset in {"mine_a": "torque_15", "mine_b": "brake_pressure"}.items():
-        (folder / f"{name}.yaml").write_text(
-            f"# @package _global_\ndefaults: [override /dataset: {dataset}]\n"
-            f"problem: {{name: {name}, family: {name}}}\n",
-            encoding="utf-8",
-        )
+    own = own_problems(tmp_path / "own", mine_a="mine", mine_b="other")
     planned: list[str] = []
     drawn: list[list[str]] = []
 
@@ -122,13 +138,13 @@ def test_problems_of_a_further_folder_match_patterns_and_the_folder_is_recorded(
     monkeypatch.setattr(comparing, "run", run)
     monkeypatch.setattr(comparing, "draw", draw)
     overrides = [*ARENA, *METHODS, "comparison.problems=[mine_*]", f"root={tmp_path / 'runs'}"]
-    chosen = ["--config-dir", str(folder.parent), *overrides, "fresh=true"]
+    chosen = ["--config-dir", str(own), *overrides, "fresh=true"]
     monkeypatch.setattr(sys, "argv", ["compare", *chosen])
     with pytest.raises(SystemExit) as end:
         comparing.main()
     assert not end.value.code
     assert planned == ["mine_a"] * 6 + ["mine_b"] * 6
-    assert drawn == [[f"--config-dir={folder.parent}", *overrides]]
+    assert drawn == [[f"--config-dir={own}", *overrides]]
 
 
 def _model(cfg: Any) -> str:

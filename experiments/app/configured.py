@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app import schema
 from experiments.app.build import HELD, recorded_optimum
-from experiments.app.compose import composed
+from experiments.app.compose import composed, option_folders
 from experiments.app.options import options_of
 from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
@@ -25,15 +25,16 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
 
     An optimum is not part of a run's identity, so a stored one may have been corrected since. Runs
     with another model, dataset, space or loss than conf/problem, or that it does not name, keep the
-    stored optimum. If a problem has a resolution, smaller errors and optima are set to it. `cut` is
-    true if a run used up its seconds before its evaluations and did not converge.
+    stored optimum. Inside a command the problems of its --config-dir count too. If a problem has a
+    resolution, smaller errors and optima are set to it. `cut` is true if a run used up its seconds
+    before its evaluations and did not converge.
     """
     schema.register()
     pieces = []
     for name, on_problem in runs.groupby("problem", sort=False):
         stored = read_run(Path(on_problem["folder"].iloc[0]))
         family = str(name)
-        if family in options_of("problem"):
+        if family in options_of("problem", option_folders()):
             cfg = composed([f"problem={family}"])
             family = cfg.problem.family or family
             optimum = recorded_optimum(cfg)

@@ -83,7 +83,7 @@ def step(at: Array, errors: Array, grid: Array) -> Array:
 
 
 def until(grid: Array, end: float) -> slice:
-    """Positions of a grid (g,) up to the first one at or after `end`, where a run's last row counts.
+    """Positions of a grid (g,) up to the first one at or after `end`, which has a run's last row.
 
     Examples
     --------

@@ -270,7 +270,7 @@ def plot_error_over(
 def _final_labels(
     runs: pd.DataFrame, factor: float, styles: Mapping[str, MethodStyle]
 ) -> list[EndLabel]:
-    """Mean final error per method, NaN if a run has no finite error; its runs if others have more."""
+    """Mean final error per method, NaN if a run has none; its number of runs if others have more."""
     labels = []
     counts = runs["optimizer"].value_counts()
     most = counts.max()
