@@ -270,7 +270,10 @@ def plot_error_over(
 def _final_labels(
     runs: pd.DataFrame, factor: float, styles: Mapping[str, MethodStyle]
 ) -> list[EndLabel]:
-    """Mean final error per method, NaN if a run has none; its number of runs if others have more."""
+    """Mean final error per method, NaN if a run has none.
+
+    A method with fewer runs than others has the number of them.
+    """
     labels = []
     counts = runs["optimizer"].value_counts()
     most = counts.max()
