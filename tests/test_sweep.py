@@ -78,7 +78,9 @@ def test_seeds_lost_for_one_reason_are_one_line(
     ]
 
 
-def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) -> None:
+def test_what_is_wanted_twice_is_done_once_and_then_done_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     runs = [*runs_of(tmp_path), *runs_of(tmp_path)]
     listed = run(runs, SweepConfig(dry_run=True)).states
     assert statuses(listed) == [Status.TO_DO] * 2
@@ -89,6 +91,10 @@ def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) 
     assert statuses(run(runs, SweepConfig(dry_run=True)).states) == [Status.DONE_BEFORE] * 2
     errors = load_runs(tmp_path).runs["error"].tolist()
     assert sorted(state.error or 0 for state in again) == sorted(errors)
+    # Batches of a study may request a run again; the table counts it once.
+    capsys.readouterr()
+    print_summary([*again, *again])
+    assert "pacejka-tire_lf random      2 " in capsys.readouterr().out
 
 
 def test_a_run_that_was_tried_says_why_it_is_not_done(tmp_path: Path) -> None:

@@ -74,8 +74,12 @@ def _report_command(root: str, states: Sequence[State]) -> str:
 
 
 def _print_errors(states: Sequence[State]) -> None:
-    """Print the number of runs and their errors, one line per problem, method and setting."""
-    ended = [state for state in states if state.error is not None]
+    """Print the number of runs and their errors, one line per problem, method and setting.
+
+    A run that several jobs requested, as trials of a study can, counts once.
+    """
+    by_id = {state.request.identity.id: state for state in states if state.error is not None}
+    ended = list(by_id.values())
     if ended:
         names = [state.request.identity for state in ended]
         rows = [
