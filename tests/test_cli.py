@@ -608,7 +608,9 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
     code, out, err = compare(*small, *overrides)
     assert code == 3
     assert "nelder_mead seed 0: lost: killed by SIGKILL" in out
-    assert err.splitlines()[-1].startswith("runs missing: 1")
+    last = err.splitlines()[-1]
+    assert last.startswith("runs missing: 1")
+    assert last.endswith(f"python -m experiments.figures fig6 root={tmp_path / 'runs'}")
     assert load_runs(tmp_path / "runs").runs["optimizer"].tolist() == ["pso_100"]
     assert not (tmp_path / "runs" / "figures").exists()
 

@@ -196,7 +196,11 @@ def draw(
     failed = [s.line for s in states if s.error is None and s.reason is not None]
     if failed:
         print("\n".join(failed), file=sys.stderr)
-        print(f"runs missing: {len(failed)}; no figure is drawn, run again", file=sys.stderr)
+        again = "no figure is drawn, run again"
+        if not cfg.comparison.problems:  # figure 6 states which runs are missing
+            root = shlex.quote(str(cfg.root))
+            again += f", or draw the others: python -m experiments.figures fig6 root={root}"
+        print(f"runs missing: {len(failed)}; {again}", file=sys.stderr)
         return SOME_FAILED
     if any(state.status is Status.TO_DO for state in states):  # of a dry run
         return OK
