@@ -198,8 +198,8 @@ def draw(
         print("\n".join(failed), file=sys.stderr)
         again = "no figure is drawn, run again"
         if not cfg.comparison.problems:  # figure 6 states which runs are missing
-            root = shlex.quote(str(cfg.root))
-            again += f", or draw the others: python -m experiments.figures fig6 root={root}"
+            words = ["python", "-m", "experiments.figures", "fig6", f"root={cfg.root}"]
+            again += f", or draw the others: {shlex.join(words)}"
         print(f"runs missing: {len(failed)}; {again}", file=sys.stderr)
         return SOME_FAILED
     if any(state.status is Status.TO_DO for state in states):  # of a dry run
