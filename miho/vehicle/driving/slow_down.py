@@ -29,9 +29,9 @@ def slowed_from(
 ) -> VelocityPlan:
     """Return the plan with higher speeds from an arc length, where the car is too fast for it.
 
-    The car has the speed v [m/s] at the arc length s [m]. The speeds fall as fast as the friction
-    and the brakes, with a largest deceleration [m/s^2], allow until they meet the plan. The result
-    is the plan itself if the car is not too fast.
+    The car has the speed v [m/s] at the arc length s [m]. The speeds fall as fast as the friction,
+    the drag and the brakes, with a largest deceleration [m/s^2], allow until they meet the plan.
+    The result is the plan itself if the car is not too fast.
     """
     line, start = plan.line, int((s % plan.line.length) / plan.line.step)
     if v <= plan.v[start]:
@@ -67,4 +67,5 @@ def _deceleration(car: FrictionCar, v: float, curvature: float, bank: float, mos
     turning = friction_use(car, v, 0.0, lateral, gravity)
     if turning > TURNING:
         lateral *= TURNING / turning
-    return -farthest(car, v, 0.0, lateral, (-min(most, MOST), lateral), gravity)[0]
+    most = min(most + car.C_d * v * v / car.mass, MOST)
+    return -farthest(car, v, 0.0, lateral, (-most, lateral), gravity)[0]

@@ -71,6 +71,16 @@ def test_without_a_limit_of_the_brakes_the_tires_slow_the_car() -> None:
     np.testing.assert_allclose(unlimited.v, limited.v, atol=1e-6)
 
 
+def test_drag_helps_the_brakes_to_slow_the_car() -> None:
+    """On the straight the deceleration is the one of the brakes plus drag / mass."""
+    line = lvms(step=5.0, flat=True)
+    plan = car().planner(0.5, 70.0).plan(line)
+    fast = slowed_from(plan, plan.friction._replace(mu=1.0), 0.0, 75.0, 4.0)
+    drag = car().vehicle.C_d * 75.0**2 / car().vehicle.mass
+    assert drag > 1.0
+    assert fast.ax[0] == pytest.approx(-(4.0 + drag), rel=1e-6)
+
+
 def test_the_driver_plans_and_steers_with_the_friction_of_the_source() -> None:
     """After the first command the plan is the one for 0.7 of the grip."""
     line = lvms(step=5.0, flat=True)
