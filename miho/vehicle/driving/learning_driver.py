@@ -36,7 +36,8 @@ class LearningDriver:
 
     A plan belongs to a whole step of the friction. It changes if the reported friction differs by
     more than one step from the friction of the present plan. If the car is too fast for a new
-    plan, the plan begins at the present speed.
+    plan, the plan begins at the present speed, and the car slows down with the reserve of the
+    planner for the entry of a turn.
 
     Parameters
     ----------
@@ -77,7 +78,8 @@ class LearningDriver:
             planned = max(STEP * round(now / STEP), LEAST)
         knowing = self._knowing(planned)
         if changed or state.plan is not knowing.plan:
-            friction = knowing.plan.friction._replace(mu=planned)
+            kept = self.planner.entry_reserve
+            friction = knowing.plan.friction._replace(mu=planned * (1 - kept))
             brake = -self.planner.slowest_rate
             plan = slowed_from(knowing.plan, friction, state.at, motion.vx, brake)
             if changed or plan is knowing.plan:

@@ -8,10 +8,11 @@ ellipse, and braking ahead of turns. `velocity_as_printed` has the printed equat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from miho.quantities import Array
 from miho.validate import positive_settings
@@ -35,6 +36,8 @@ from miho.vehicle.models.engine_map import EngineMap
 
 SCAN = 2.0
 """Step of the search for the lateral limit before bisection [m/s]."""
+ENTRY = 60.0
+"""Distance over which the curvature doubles at the entry of a turn [m], about one second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +102,9 @@ class VelocityPlanner:
     reserve : float, optional
         Share of the tire forces within mu that is reserved for the controllers [-], because a car
         that enters a turn or brakes overshoots the steady values of the plan.
+    entry_reserve : float, optional
+        Further reserve at the entry of a turn and for braking before it [-], because the grip may
+        have fallen on the straight, which does not show it.
 
     Raises
     ------
@@ -114,11 +120,14 @@ class VelocityPlanner:
     top_speed: float = 90.0
     brake_share: float = 0.9
     reserve: float = 0.0
+    entry_reserve: float = 0.0
 
     def __post_init__(self) -> None:
         positive_settings(self, ("mu", "top_speed", "brake_share"))
-        if not 0 <= self.reserve < 1:
-            raise ValueError(f"reserve is {self.reserve:g}; expected at least 0 and below 1")
+        for name in ("reserve", "entry_reserve"):
+            value = getattr(self, name)
+            if not 0 <= value < 1:
+                raise ValueError(f"{name} is {value:g}; expected at least 0 and below 1")
 
     @property
     def friction(self) -> FrictionCar:
@@ -141,6 +150,10 @@ class VelocityPlanner:
     def plan(self, line: Track) -> VelocityPlan:
         """Return the fastest plan for laps of a line; raises ValueError if no speed is safe."""
         limits = self.lateral_limits(line)
+        used = (1 - self.reserve) * (1 - self.entry_reserve)
+        careful = replace(self, reserve=1 - used, entry_reserve=0.0)
+        if self.entry_reserve > 0:
+            limits = np.where(entries(line), careful.lateral_limits(line), limits)
         if not (limits > 0).all():
             i = int(np.argmin(limits))
             raise ValueError(
@@ -148,7 +161,11 @@ class VelocityPlanner:
                 f"curvature is {line.curvature[i]:.4g} 1/m and the bank {line.bank[i]:.4g} rad; "
                 f"expected more grip than a performance factor of {self.mu:g} gives"
             )
-        v = _passes(self._planned, self._powers(), line.curvature, line.bank, limits, line.step)
+        powers, road = self._powers(), (line.curvature, line.bank)
+        if self.entry_reserve > 0:
+            _brake_ahead(careful._planned, powers, *road, limits, line.step)
+        v = _speed_up(self._planned, powers, *road, limits, line.step)
+        _brake_ahead(self._planned, powers, *road, v, line.step)
         ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
         lateral, _ = demand(v, line.curvature, line.bank)
         limit, use = limits_and_use(self.friction, v, ax, line.curvature, line.bank)
@@ -180,6 +197,17 @@ class VelocityPlanner:
         return min(
             self.top_speed, float(powers.speeds[np.argmax(weak) - 1]) if weak.any() else np.inf
         )
+
+
+def entries(line: Track) -> NDArray[np.bool_]:
+    """Return whether each point (n,) of a closed line is at the entry of a turn.
+
+    There the curvature is more than twice the curvature at a point in the last `ENTRY` metres.
+    """
+    bend = np.abs(line.curvature)
+    back = range(round(ENTRY / line.step) + 1)
+    least = np.min([np.roll(bend, k) for k in back], axis=0)
+    return np.asarray(bend > 2 * least)
 
 
 def full_throttle(vehicle: Vehicle, engine: EngineMap, speeds: Array) -> Array:
@@ -235,14 +263,13 @@ def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: fl
 
 
 @compiled
-def _passes(
+def _speed_up(
     car: FrictionCar, powers: _Powers, curvature: Array, bank: Array, limits: Array, step: float
 ) -> Array:
-    """Return speeds (n,) below the limits with feasible accelerations between points."""
+    """Return speeds (n,) below the limits with feasible gains of speed between points."""
     # Both passes begin at the lowest limit, which is not affected by other points.
     n, start = limits.size, np.argmin(limits)
     v = limits.copy()
-    # Forward pass: limit the gain of speed from point i to the next point j.
     for k in range(n):
         i, j = (start + k) % n, (start + k + 1) % n
         needed = (v[j] * v[j] - v[i] * v[i]) / (2 * step)
@@ -250,12 +277,19 @@ def _passes(
         if needed > 0:
             ax = _largest(car, v[i], min(needed, max(engine, 0.0)), curvature[i], bank[i])
             v[j] = min(v[j], math.sqrt(v[i] * v[i] + 2 * ax * step))
-    # Backward pass: limit the speed at which the car enters a step by its deceleration.
+    return v
+
+
+@compiled
+def _brake_ahead(
+    car: FrictionCar, powers: _Powers, curvature: Array, bank: Array, v: Array, step: float
+) -> None:
+    """Reduce speeds v (n,) in place until the decelerations between points are feasible."""
+    n, start = v.size, np.argmin(v)
     for k in range(n):
         i, j = (start - k - 1) % n, (start - k) % n
         if v[i] > v[j]:
             v[i] = _entry(car, powers, v[i], v[j], curvature[i], bank[i], step)
-    return v
 
 
 @part

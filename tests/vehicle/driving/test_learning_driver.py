@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from miho.vehicle.driving.driver import Driver
+from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.friction_schedule import FrictionSchedule
 from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
 from miho.vehicle.driving.ovals import lvms
+from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.plant import Motion
+from miho.vehicle.driving.road import road_of
+from miho.vehicle.driving.simulation import simulate
 from miho.vehicle.driving.slow_down import slowed_from
+from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.tracked_friction import MEAN, FrontAxle
 from tests.vehicle.driving.cars import car
 
@@ -81,14 +88,45 @@ def test_drag_helps_the_brakes_to_slow_the_car() -> None:
     assert fast.ax[0] == pytest.approx(-(4.0 + drag), rel=1e-6)
 
 
+class ShownByTheTurn(FrictionSource):
+    """A friction of 1, and 0.7 from a place in the second turn on."""
+
+    def __init__(self, line: Track) -> None:
+        self.line = line
+
+    def friction(self, motion: Motion, curvature: float, bank: float) -> float:
+        """See `FrictionSource.friction`."""
+        return 0.7 if self.line.project(motion.x, motion.y).s > 1640.0 else 1.0
+
+
+@pytest.mark.parametrize(("reserve", "finished"), [(0.0, False), (0.2, True)])
+def test_a_reserve_at_the_entry_saves_a_car_whose_turn_shows_the_fall(
+    reserve: float, finished: bool
+) -> None:
+    """The grip is 30 % less before the turn, and the driver knows it 0.4 s after turning in."""
+    line = lvms(flat=True)
+    known = car()
+    planner = replace(known.planner(0.7, 80.0), entry_reserve=reserve)
+    plan = planner.plan(line)
+    driver = Driver(
+        plan, known.speed_controller(), known.steering_controller(Weights(steering=100.0))
+    )
+    low = FrictionSchedule((0.0,), (0.7,))
+    true = replace(embedded_plant(known.vehicle, road_of(line)), friction=low)
+    speed, _ = plan.at(1500.0)
+    start = true.start(1500.0, 0.0, speed, known.speed_controller().start(speed).gear)
+    learning = LearningDriver(driver, planner, ShownByTheTurn(line))
+    drive = simulate(true, learning, start, 400.0, longest=12.0)
+    assert (not drive.stopped) == finished
+    if finished:
+        assert np.abs(drive["e_y"]).max() < 1.0
+
+
 def test_the_driver_plans_and_steers_with_the_friction_of_the_source() -> None:
     """After the first command the plan is the one for 0.7 of the grip."""
     line = lvms(step=5.0, flat=True)
     known = car()
     planner = known.planner(0.8, 60.0)
-    from miho.vehicle.driving.driver import Driver
-    from miho.vehicle.driving.path_tracking import Weights
-
     driver = Driver(
         planner.plan(line), known.speed_controller(), known.steering_controller(Weights())
     )
@@ -102,8 +140,6 @@ def test_the_driver_plans_and_steers_with_the_friction_of_the_source() -> None:
 
 def test_less_friction_needs_more_slip_and_keeps_the_stiffness() -> None:
     """The similarity method: F(a; mu) = mu F(a / mu), about the centre of the curve."""
-    from miho.vehicle.driving.path_tracking import Weights
-
     front = car().steering_controller(Weights()).front
     force, load = 0.4 * float(front.force.max()), front.load
     full = front.at(force, load) - front.centre

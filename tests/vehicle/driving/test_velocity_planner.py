@@ -22,6 +22,7 @@ from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.velocity_planner import (
     VelocityPlan,
     VelocityPlanner,
+    entries,
     front_share,
     full_throttle,
 )
@@ -70,6 +71,26 @@ def test_a_reserve_lowers_the_speeds_and_not_the_limit() -> None:
     assert kept.limit == pytest.approx(0.8 * g, rel=1e-9)
     with pytest.raises(ValueError, match="reserve is 1; expected at least 0 and below 1"):
         replace(planner, reserve=1.0)
+
+
+def test_a_reserve_at_the_entry_holds_until_the_turn_has_shown_the_grip() -> None:
+    """The entry and the braking before it use less grip; the end of the turn has the full speed."""
+    line = lvms(step=5.0, flat=True)
+    planner = CAR.planner(0.7, 80.0)
+    full, kept = (replace(planner, entry_reserve=reserve).plan(line) for reserve in (0.0, 0.2))
+    entry = np.flatnonzero(entries(line))
+    assert (kept.v <= full.v + 1e-9).all()
+    assert kept.use[entry[:-1]].max() < 0.8 + 1e-3
+    assert full.use[entry].max() > 0.99
+    last = entry[-1]  # of the second turn, which begins at once
+    before, end = int(1580 / line.step), int(2100 / line.step)
+    assert before < last < end
+    assert kept.v[before] < full.v[before] - 3.0
+    assert kept.use[before] < 0.8 + 1e-3
+    assert kept.v[end] == pytest.approx(full.v[end], abs=0.1)
+    assert not entries(ring(233.0, 0.0)).any()
+    with pytest.raises(ValueError, match="entry_reserve is 1; expected at least 0 and below 1"):
+        replace(planner, entry_reserve=1.0)
 
 
 def test_downforce_adds_to_the_closed_form() -> None:
