@@ -7,6 +7,7 @@ close to their limit. In the middle of the lap the friction falls within 0.2 s.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -27,6 +28,7 @@ from miho.vehicle.driving.plant import Motion
 from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.simulation import Drive, simulate
+from miho.vehicle.driving.steering_control import SteeringController
 from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.tracked_friction import (
     PERIOD,
@@ -95,9 +97,8 @@ class FallingGrip:
 
     def driver(self, share: float | None = None) -> Driver:
         """Driver for a friction of 1."""
-        steering = self.car.steering_controller(Weights(steering=100.0))
         plan = self._planner(self.share if share is None else share).plan(self.line)
-        return Driver(plan, self.car.speed_controller(), steering)
+        return Driver(plan, self.car.speed_controller(), self._steering)
 
     def earlier(self, seed: int) -> Report:
         """Report of the front axle from a lap without a fall, with other noise."""
@@ -122,6 +123,11 @@ class FallingGrip:
         running = TRACKER.start(report.problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
         place = report.problem.space.names.index("front_grip")
         return TrackedFriction(FrontAxle(self.car.vehicle), running, float(report.at.theta[place]))
+
+    @cached_property
+    def _steering(self) -> SteeringController:
+        """Steering for a friction of 1, once for all laps, because its gains take a second."""
+        return self.car.steering_controller(Weights(steering=100.0))
 
     def _planner(self, share: float) -> VelocityPlanner:
         return self.car.planner(share, self.top_speed)
