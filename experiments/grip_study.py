@@ -24,7 +24,7 @@ from tqdm import tqdm
 from experiments.app.build import ConfigError
 from experiments.app.console import command
 from experiments.app.origin import regenerates
-from experiments.driving.falling_grip import Constant, FallingGrip, Oracle
+from experiments.driving.falling_grip import RESERVE, Constant, FallingGrip, Oracle
 from experiments.driving.grip_results import (
     BLIND,
     CAUTIOUS,
@@ -66,7 +66,10 @@ def study(cfg: DictConfig) -> None:
             BLIND: Constant(), TRACKER: tracked, ORACLE: Oracle(schedule),
             CAUTIOUS: Constant(1 - laps.fall),
         }  # fmt: skip
-        drives = {name: laps.lap(seed, source) for name, source in sources.items()}
+        drives = {
+            name: laps.lap(seed, source, RESERVE if name == TRACKER else 0.0)
+            for name, source in sources.items()
+        }
         rows += [row(seed, name, drive) for name, drive in drives.items()]
         rows[-3] |= detection(tracked, schedule)
         if seed == cfg.seed:
