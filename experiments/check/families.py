@@ -1,4 +1,4 @@
-"""Families of curves drawn by seed: smooth ones, peaks, periods, and kinks.
+"""Families of curves drawn by seed: smooth ones, peaks, periods, kinks, and many minima.
 
 Each draw has new parameters, rows and noise. The boxes are as wide as a user would choose them who
 knows little about the parameters.
@@ -28,7 +28,7 @@ class Family:
     Parameters
     ----------
     kind : str
-        "smooth", "peaks", "periods" or "kinks".
+        "smooth", "peaks", "periods", "kinks" or "many minima".
     formula : callable
         A function of columns and then parameters.
     box : tuple of (low, high)
@@ -340,5 +340,23 @@ FAMILIES = {
         lambda t, K, T, s: K * (1 - np.exp(-np.maximum(t - s, 0) / T)),
         ((0, 5), (0.05, 20), (0, 19)),
         lambda r: (_even(r, 80, 120, 20), [2, U(r, 0.2, 4), U(r, 1, 12)], 0.2),
+    ),
+    # So many minima that hardly any bracket returns to one of them.
+    "three sines in noise": Family(
+        "many minima",
+        lambda t, a, f, p, b, g, q, c, h, r: (
+            a * np.sin(2 * np.pi * f * t + p) + b * np.sin(2 * np.pi * g * t + q)
+            + c * np.sin(2 * np.pi * h * t + r)
+        ),
+        3 * ((0, 3), (0.05, 2), (0, 6.3)),
+        lambda r: (
+            [np.sort(r.uniform(0, 20, int(r.integers(80, 200))))],
+            [
+                U(r, 0.5, 2), U(r, 0.1, 0.4), U(r, 0, 6),
+                U(r, 0.5, 2), U(r, 0.6, 1.0), U(r, 0, 6),
+                U(r, 0.5, 2), U(r, 1.2, 1.8), U(r, 0, 6),
+            ],
+            0.3,
+        ),
     ),
 }  # fmt: skip

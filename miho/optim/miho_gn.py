@@ -39,6 +39,9 @@ from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, box_of, square
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 
+LONELY, HOPS_PERIOD, ENDS = 20, 3, 3
+"""After LONELY brackets, one bracket in HOPS_PERIOD challenges a best minimum with at most ENDS
+ends, although the ends do not agree yet."""
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in this number, then on all
 rows."""
@@ -117,7 +120,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     challenges : int, optional
         Brackets that start near the best optimum, at some of its coordinates, and must fail to find
         a better one before the search ends. If groups of parameters have equal bounds, one more
-        bracket starts with their values exchanged.
+        bracket starts with their values exchanged. If brackets hardly return to the best optimum,
+        one in three challenges it earlier.
 
     Raises
     ------
@@ -337,7 +341,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         challenges = self.challenges + bool(alike(state.space))
         enough = agreed and state.passed >= challenges and is_tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.traits.rounding, oracle.traits.resolution)
-        state.challenged = agreed and not enough
+        state.challenged = not enough and (agreed or _is_lonely(state, oracle))
         if enough or state.bracket >= self.max_brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
@@ -353,3 +357,15 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.admit(GNCandidates.at(x, levels, ENTERING, self.scale_decay, False), levels - 1)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
         begin(state.candidates, state.place, POLISH, 1)
+
+
+def _is_lonely(state: MIHOGNState, oracle: Oracle) -> bool:
+    """Whether to look for a better minimum near the best one before brackets agree.
+
+    A model with several similar parts, such as three sines, has so many minima that hardly any
+    bracket returns to the best one. A better one then shares most of its coordinates, and repeated
+    challenges find the parts one after another.
+    """
+    if state.bracket < LONELY or state.bracket % HOPS_PERIOD or not state.minima.loss.size:
+        return False
+    return oracle.starts.agreement(oracle.best).agreeing <= ENDS

@@ -35,7 +35,7 @@ from miho.optim import (
     gauss_newton_blocks,
     minimize,
 )
-from miho.optim.miho_gn_state import box_of, square_distances
+from miho.optim.miho_gn_state import MIHOGNState, box_of, square_distances
 from miho.testing import CHECKS, DecayFit, check_optimizer
 from miho.vehicle.models import BrakePlay
 from tests.optim.decays import SPACE, Outside, fit
@@ -349,6 +349,33 @@ def test_two_peaks_of_different_shapes_are_found_in_their_places() -> None:
         assert record.outcome is Outcome.CONVERGED
         assert record.theta is not None
         assert record.theta[[2, 5]] == pytest.approx([29.7, 67.7], abs=1.0)
+
+
+def test_minima_to_which_no_bracket_returns_are_challenged_before_brackets_agree(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Three sines in noise have more minima than there are brackets."""
+    begin, challenged = MIHOGN.begin_bracket, []
+
+    def noting(method: MIHOGN, state: MIHOGNState, oracle: Oracle) -> None:
+        begin(method, state, oracle)
+        if state.challenging:
+            challenged.append((state.bracket, oracle.starts.agreement(oracle.best)))
+
+    def sines(
+        x: Any, a: Any, f: Any, p: Any, b: Any, g: Any, q: Any, c: Any, h: Any, r: Any
+    ) -> Any:
+        return a * np.sin(f * x + p) + b * np.sin(g * x + q) + c * np.sin(h * x + r)
+
+    rng = np.random.default_rng(0)
+    true = [1.0, 2.1, 0.5, 0.8, 5.3, 2.0, 1.2, 9.1, 4.0]
+    box = 3 * [(0.0, 3.0), (0.3, 12.0), (0.0, 6.3)]
+    problem = drawn(sines, [np.sort(rng.uniform(0, 20, 120))], true, 0.3, box, rng)
+    monkeypatch.setattr(MIHOGN, "begin_bracket", noting)
+    minimize(MIHOGN(max_brackets=40), problem)
+    assert challenged
+    assert all(bracket > 20 and bracket % 3 == 1 for bracket, _ in challenged)
+    assert all(agreement.agreeing <= 3 for _, agreement in challenged)
 
 
 @pytest.mark.parametrize(
