@@ -20,8 +20,8 @@ def flat(result: object) -> str:
 
 
 def words(text: str) -> list[str]:
-    """The words and numbers of a printed result, without the search's counts."""
-    return EVIDENCE.sub("", text).split()
+    """The words, brackets and numbers of a printed result, without the search's counts."""
+    return re.sub(r"[\[\]()=,](?!\d)", r" \g<0> ", EVIDENCE.sub("", text)).split()
 
 
 def number(word: str) -> float | None:
