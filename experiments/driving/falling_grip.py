@@ -51,7 +51,7 @@ end of the front arc, it finishes 5 of 5 laps (seeds 105, 108, 111, 113 and 132)
 none with 0.1."""
 TRACKER = TrackerSettings(use=0.02)
 """A row of the front arc, with half of the grip in use, also teaches. On seeds 100 to 111 the alarm
-comes after 1.8 s, and after 3.5 s with 0.1 (medians)."""
+came after 1.8 s, and after 3.5 s with 0.1 (medians, before the driver had a reserve)."""
 
 
 class Constant(FrictionSource):

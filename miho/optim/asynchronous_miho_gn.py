@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.phases import CLOSED, POLISH
-from miho.optim.credibility import check_structure
+from miho.optim.credibility import prepare_challenge
 from miho.optim.gauss_newton_steps import Round, rounds
 from miho.optim.miho_gn import MIHOGN
 from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState
@@ -116,7 +116,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         if search.settings.compiled or search.linear or not search.level_rows[-1]:
             self.method.step(search, oracle)
             return
-        check_structure(search, oracle)
+        prepare_challenge(search, oracle)
         if state.arrived is None:
             state.arrived = self._next(state, oracle)
         bracket = state.brackets[state.arrived]

@@ -6,6 +6,7 @@ import contextlib
 
 import numpy as np
 
+from miho.optim.brackets import alike
 from miho.optim.evidence import EPSILON, Agreement, in_optimum
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, at_bound
@@ -64,13 +65,41 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
     return known or loss > oracle.traits.noise or loss <= oracle.traits.resolution
 
 
-def check_structure(state: MIHOGNState, oracle: Oracle) -> None:
-    """Test the residuals of an optimum for structure before it is challenged."""
-    if state.challenged and not is_tested(state, oracle):
-        best = state.best_minimum
+def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
+    """Test the residuals of an optimum for structure before it is challenged.
+
+    A challenge by its neighbours also needs their directions, for one evaluation of derivatives.
+    """
+    if not state.challenged:
+        return
+    best = state.best_minimum
+    if not is_tested(state, oracle):
         state.structured = structured(oracle, state.theta(state.minima.x[best]))
         state.tested = float(state.minima.loss[best])
         state.challenged = not state.structured
+    loss = float(state.minima.loss[best])
+    if state.challenged and state.passed == bool(alike(state.space)) and state.directed != loss:
+        state.directions, state.directed = _directions(state, oracle), loss
+
+
+def _directions(state: MIHOGNState, oracle: Oracle) -> Array:
+    """Changes of the best minimum that move one parameter each by a standard deviation, (d, d).
+
+    They are in unit coordinates, and the other parameters follow as in a profile. Empty, (0, d), if
+    derivatives are missing or the data do not determine all parameters.
+    """
+    none, N = np.empty((0, state.d)), state.level_rows[-1]
+    theta = state.theta(state.minima.x[state.best_minimum])
+    try:
+        J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0) * state.box.width
+        root = np.linalg.inv(np.linalg.qr(J, mode="r"))
+    except (UnusableValueError, np.linalg.LinAlgError):
+        return none
+    variance = float(state.minima.loss.min()) * N / max(N - state.d, 1)
+    with np.errstate(all="ignore"):
+        covariance = variance * root @ root.T
+        directions = covariance / np.sqrt(np.diag(covariance))[:, None]
+    return directions if np.isfinite(directions).all() else none
 
 
 def structured(oracle: Oracle, theta: Array) -> bool:

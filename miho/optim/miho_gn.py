@@ -31,13 +31,14 @@ from miho.compiled.phases import (
     nearness,
 )
 from miho.optim.brackets import alike, around, draw_starts, exchanged
-from miho.optim.credibility import check_structure, credible, is_tested, solves
+from miho.optim.credibility import credible, is_tested, prepare_challenge, solves
 from miho.optim.evidence import ENOUGH, in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
 from miho.optim.meter import UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
+from miho.quantities import Array
 
 LONELY, HOPS_PERIOD, ENDS = 20, 3, 3
 """After LONELY brackets, one bracket in HOPS_PERIOD challenges a best minimum with at most ENDS
@@ -118,8 +119,9 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         The search for a doubtful optimum takes at least this multiple of the evaluations that
         found it.
     challenges : int, optional
-        Brackets that start near the best optimum, at some of its coordinates, and must fail to find
-        a better one before the search ends. If groups of parameters have equal bounds, one more
+        Brackets that start near the best optimum and must fail to find a better one before the
+        search ends: the first a standard deviation away along each parameter, the others at some of
+        its coordinates. If groups of parameters have equal bounds, one more
         bracket starts with their values exchanged. If brackets hardly return to the best optimum,
         one in three challenges it earlier.
 
@@ -192,7 +194,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             if solves(state, oracle):
                 self._polish(state, oracle)
             else:
-                check_structure(state, oracle)
+                prepare_challenge(state, oracle)
                 self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
             run_phases(oracle, state)
@@ -234,22 +236,30 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         budget, n = self.sizes(state.bracket, state.d, look_cost)
         state.settings = state.settings._replace(projects=projects, rung_budget=budget)
         state.spent_before = oracle.evaluations
-        # Its starts, to be evaluated on the first level; exchanged values need all rows.
+        # Its starts, to be evaluated on the first level, or on all rows if they are near the best.
         n, level = 1 if state.linear else n, 0
         starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
         if state.challenging:
-            best = state.box.origin + state.box.width * state.minima.x[state.best_minimum]
-            if state.passed == 0 and alike(state.space):
-                n, level = self.min_candidates, state.level_rows.size - 1
-                starts = exchanged(best, state.space, n, state.rng)
-            else:
-                starts = around(best, starts, state.rng)
+            starts, level = self._challengers(state, starts)
+        n = len(starts)
         oracle.starts.screened += n * (not state.linear)
         x = (starts - state.box.origin) / state.box.width
         fading = self.scale_decay if state.bracket % 2 else 1.0
         levels = state.level_rows.size
         state.admit(GNCandidates.at(x, levels, self.damping, fading, projects), level)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
+
+    def _challengers(self, state: MIHOGNState, starts: Array) -> tuple[Array, int]:
+        """Starts near the best minimum, some of them from `starts` (n, d), and their level."""
+        best, last = state.minima.x[state.best_minimum], state.level_rows.size - 1
+        coordinates = state.box.origin + state.box.width * best
+        exchanges = bool(alike(state.space))
+        if exchanges and state.passed == 0:
+            return exchanged(coordinates, state.space, self.min_candidates, state.rng), last
+        if state.passed == exchanges and state.directions.size:
+            x = np.clip(best + np.concatenate([state.directions, -state.directions]), 0, 1)
+            return state.box.origin + state.box.width * x, last
+        return around(coordinates, starts, state.rng), 0
 
     def _projects(self, state: MIHOGNState) -> bool:
         """Whether this bracket projects: one in a period, and the first if that halves d."""
@@ -329,8 +339,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Close the bracket, and end the search if the ends of brackets are evidence enough.
 
-        Before the search ends, brackets that start at some coordinates of the best minimum, or with
-        its values exchanged, challenge it. They count as evidence only if they find a better one.
+        Before the search ends, brackets that start near the best minimum challenge it. They count
+        as evidence only if they find a better one.
         """
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False

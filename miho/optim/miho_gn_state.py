@@ -47,7 +47,7 @@ class MIHOGNSettings(Brackets):
     final_tolerance: float = 1e-16
     doubtful_brackets: int = 20
     doubtful_cost: float = 10.0
-    challenges: int = 3
+    challenges: int = 2
     max_brackets: int = 400
 
     def __post_init__(self) -> None:
@@ -114,6 +114,8 @@ class MIHOGNState:
         whether the current one does.
     tested, structured : float, bool
         Loss of the minimum whose residuals were tested, and whether they have structure.
+    directions, directed : ndarray of shape (d, d) or (0, d), float
+        From a minimum to the neighbours that challenge it, and its loss.
     """
 
     space: Space
@@ -138,6 +140,8 @@ class MIHOGNState:
     challenging: bool = False
     tested: float = math.inf
     structured: bool = False
+    directions: Array = field(default_factory=lambda: np.empty((0, 0)))
+    directed: float = math.inf
     finished: bool = False
     blocks: Blocks | None = None
 
@@ -214,6 +218,7 @@ class MIHOGNState:
         self.minima, self.best_found_after = other.minima, other.best_found_after
         self.passed, self.challenged = other.passed, other.challenged
         self.tested, self.structured = other.tested, other.structured
+        self.directions, self.directed = other.directions, other.directed
 
     def add_minimum(self, c: GNCandidates) -> None:
         """Add the end of the first candidate to the known minima."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from baselines.problems import PublishedModel, load_published
 from experiments.check.families import drawn
@@ -349,6 +350,24 @@ def test_two_peaks_of_different_shapes_are_found_in_their_places() -> None:
         assert record.outcome is Outcome.CONVERGED
         assert record.theta is not None
         assert record.theta[[2, 5]] == pytest.approx([29.7, 67.7], abs=1.0)
+
+
+def test_an_optimum_between_the_next_rows_is_found_before_a_search_ends() -> None:
+    """Without a look at the neighbours five searches claim an optimum that is 2 % worse."""
+
+    def lag(t: Any, K: Any, T: Any, s: Any) -> Any:
+        return K * (1 - np.exp(-np.maximum(t - s, 0) / T))
+
+    t = np.linspace(0, 20, 95)
+    box = [(0.0, 5.0), (0.05, 20.0), (0.0, 19.0)]
+    for instance in (27, 33, 41, 42, 71):
+        rng = np.random.default_rng(instance)
+        true = [2.0, rng.uniform(0.2, 4), rng.uniform(1, 12)]
+        problem = drawn(lag, [t], true, 0.2, box, rng)
+        record = minimize(MIHOGN(), problem, seed=instance)
+        best = least_squares(problem.residuals, true, bounds=np.transpose(box))
+        claims = record.outcome is Outcome.CONVERGED
+        assert not claims or record.loss <= 1.002 * 2 * best.cost / t.size
 
 
 def test_minima_to_which_no_bracket_returns_are_challenged_before_brackets_agree(

@@ -119,6 +119,7 @@ def test_a_reserve_at_the_entry_saves_a_car_whose_turn_shows_the_fall(
     drive = simulate(true, learning, start, 400.0, longest=12.0)
     assert (not drive.stopped) == finished
     if finished:
+        assert drive["time"][-1] < 11.0, "a car that crawls does not finish"
         assert np.abs(drive["e_y"]).max() < 1.0
 
 
