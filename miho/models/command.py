@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import IO
+from typing import IO, ClassVar
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class CommandModel(ExternalModel):
     parameters.json (numbers by name) and inputs.csv (a header, then the columns with 17 digits),
     and writes output.txt (one number per row). A call has no value if the program fails, takes too
     long or writes anything else. `predict` then gives NaN, or raises ValueError with the reason if
-    all its calls fail.
+    no call of this model has succeeded yet.
 
     Parameters
     ----------
@@ -66,6 +66,7 @@ class CommandModel(ExternalModel):
     seconds: float = 60.0
     step: float = 1e-3
     name: str = "command"
+    _succeeded: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         positive("seconds", self.seconds)
@@ -82,9 +83,10 @@ class CommandModel(ExternalModel):
         for theta, output in zip(thetas, outputs, strict=True):
             try:
                 output[:] = self._run(theta, inputs)
+                object.__setattr__(self, "_succeeded", True)
             except _FailedCall as failure:
                 failures.append(failure)
-        if failures and len(failures) == len(thetas):
+        if failures and not self._succeeded:
             raise ValueError(str(failures[0]))
         return outputs
 

@@ -1,5 +1,6 @@
 """A program as a model: what it reads and writes, its derivatives, and all ways to fail."""
 
+import pickle
 import sys
 import time
 from pathlib import Path
@@ -72,6 +73,13 @@ def test_the_reason_of_a_failed_call_is_an_error(
 ) -> None:
     with pytest.raises(ValueError, match=reason):
         model.predict(np.array([[1.0, b]]), T)
+
+
+def test_a_failure_after_a_success_has_no_value(model: CommandModel) -> None:
+    """So that one sporadic failure in a report does not end it; also in a copy."""
+    model.predict(np.array([[1.0, 1.0]]), T)
+    for used in (model, pickle.loads(pickle.dumps(model))):
+        assert np.isnan(used.predict(np.array([[1.0, -1.0]]), T)).all()
 
 
 def test_a_fit_of_a_program_that_always_fails_gives_the_reason(
