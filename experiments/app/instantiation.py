@@ -23,7 +23,7 @@ from experiments.app.safety import (
     nested_target,
 )
 from experiments.app.schema import RENAMED
-from miho.models.user_file import defined_in, executed, raised
+from miho.models.user_file import defined_in, executed, make_picklable, raised
 from miho.optim import Optimizer
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
@@ -93,9 +93,11 @@ def _own_class(node: Mapping[str, Any], key: str, kind: type[T]) -> Callable[...
     if not isinstance(path, str):
         raise ConfigError(f"{key}.path: is {path!r}; expected a file")
     try:
-        members = defined_in(executed(Path(path)))
+        module = executed(Path(path))
     except ValueError as error:
         raise ConfigError(str(error)) from None
+    make_picklable(Path(path), module)
+    members = defined_in(module)
     classes = {name: member for name, member in members.items() if is_final(member, kind)}
     if name is None:
         raise ConfigError(

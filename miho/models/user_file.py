@@ -154,7 +154,7 @@ def raised(error: BaseException, source: Path) -> str:
 
 
 def executed(source: Path) -> types.ModuleType:
-    """Execute a Python file and return its module; objects of its classes can be pickled.
+    """Execute a Python file and return its module.
 
     Raises FileNotFoundError if there is no such file, and ValueError with file and line if it
     cannot be used.
@@ -175,7 +175,6 @@ def executed(source: Path) -> types.ModuleType:
     finally:
         if added:
             sys.modules.pop(module.__name__, None)
-    _make_picklable(source.resolve(), module)
     return module
 
 
@@ -189,8 +188,12 @@ def defined_in(module: types.ModuleType) -> dict[str, Any]:
     }
 
 
-def _make_picklable(source: Path, module: types.ModuleType) -> None:
-    """Pickle objects of the classes of a file by its path, since no import finds the module."""
+def make_picklable(source: Path, module: types.ModuleType) -> None:
+    """Pickle objects of the classes of a file by its path, since no import finds the module.
+
+    They can be unpickled only where the file is; cloudpickle follows this too.
+    """
+    source = source.resolve()
     classes = {
         name: member for name, member in defined_in(module).items() if inspect.isclass(member)
     }
@@ -210,7 +213,7 @@ class _Reduce:
 
     def __call__(self, instance: Any) -> Any:
         reduced = instance.__reduce_ex__(4)
-        if isinstance(reduced, tuple) and reduced[0].__name__ == "__newobj__":
+        if isinstance(reduced, tuple) and getattr(reduced[0], "__name__", "") == "__newobj__":
             return _created, (*self.place, *reduced[1][1:]), *reduced[2:]
         return reduced
 
@@ -219,7 +222,7 @@ def _created(source: Path, execution: int, name: str, *arguments: Any) -> Any:
     """An object of a class in a file, which is executed unless this process has done so."""
     known = _classes.setdefault(source, {})
     if execution not in known:
-        executed(source)
+        make_picklable(source, executed(source))
         known[execution] = known[max(known)]
     own = known[execution].get(name)
     if own is None:

@@ -90,6 +90,15 @@ def test_it_pickles_in_this_process_and_in_another_one(file: Path) -> None:
     assert "walk.py: has no class Walk any more; restore it" in process.stderr
 
 
+def test_an_object_may_reduce_itself_to_a_partial_function(file: Path) -> None:
+    with file.open("a", encoding="utf-8") as end:
+        end.write(
+            "\n\nclass Partial(Walk):\n    def __reduce__(self):\n        import functools\n\n"
+            "        return functools.partial(slice, 1), (2,)\n"
+        )
+    assert pickle.loads(pickle.dumps(build_optimizer(config(file, "Partial")))) == slice(1, 2)
+
+
 def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> None:
     identities = [build(config(file)).identity, build(config(file, points=5)).identity]
     file.write_text(FILE.replace("self.points, rng", "self.points - 1, rng"), encoding="utf-8")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+import cloudpickle
 import numpy as np
 import pytest
 
@@ -54,6 +57,33 @@ def test_a_function_is_a_model(load: Callable[..., Model], future: str, batched:
     expected = [2 * np.exp(-1.5 * t), np.exp(-0.3 * t), 0.5 * np.exp(-4 * t)]
     assert np.array_equal(model.predict(THETAS, t), expected)
     check_model(model, THETAS, t)
+
+
+def test_a_worker_without_the_file_has_its_classes(
+    load: Callable[..., Model], tmp_path: Path
+) -> None:
+    text = """
+class Gain:
+    def __init__(self, size):
+        self.size = size
+
+GAIN = Gain(3.0)
+
+def line(t: "s", *, a: "V/s") -> "V":
+    return GAIN.size * a * t
+"""
+    model = load(text, function="line")
+    stored = tmp_path / "model.pickle"
+    stored.write_bytes(cloudpickle.dumps(model))
+    (tmp_path / "mine.py").unlink()
+    program = (
+        "import pickle, sys, numpy as np; model = pickle.load(open(sys.argv[1], 'rb'));"
+        "print(model.predict(np.ones((1, 1)), np.ones(1))[0, 0])"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", program, str(stored)], capture_output=True, text=True
+    )
+    assert process.stdout == "3.0\n", process.stderr
 
 
 def test_the_derivatives_are_those_of_the_formula(load: Callable[..., Model]) -> None:
