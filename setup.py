@@ -22,7 +22,8 @@ from setuptools._distutils.sysconfig import customize_compiler
 from setuptools.command.build_ext import build_ext
 
 CORE = Path("miho/core")
-SOURCES = zlib.crc32(b"".join(path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))))
+TEXTS = [path.read_bytes().replace(b"\r\n", b"\n") for path in sorted(CORE.glob("[!.]*.[ch]"))]
+SOURCES = zlib.crc32(b"".join(TEXTS))
 """Checksum by which `miho.core.tape` recognizes a machine that was built from other sources."""
 FLAGS = [
     "-std=gnu11", "-O2", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",

@@ -104,9 +104,16 @@ def machine() -> Any:
 
 
 def checksum() -> int | None:
-    """The checksum of the sources in C, None if they are not installed; `setup.py` has the same."""
-    sources = sorted(Path(__file__).parent.glob("*.[ch]"))
-    return zlib.crc32(b"".join(path.read_bytes() for path in sources)) if sources else None
+    """The checksum of the sources in C, None if there are none to read; `setup.py` has the same.
+
+    Hidden files, for example an editor's locks, and line endings do not count.
+    """
+    sources = sorted(Path(__file__).parent.glob("[!.]*.[ch]"))
+    try:
+        texts = [path.read_bytes().replace(b"\r\n", b"\n") for path in sources]
+    except OSError:
+        return None
+    return zlib.crc32(b"".join(texts)) if texts else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -164,6 +165,23 @@ def test_a_machine_from_other_sources_is_refused(stale: bool, tmp_path: Path) ->
     assert len(lines) == stale
     remedy = "build it again by python setup.py build_ext --inplace --force"
     assert all(line.endswith(f"miho/core was built from other sources; {remedy}") for line in lines)
+
+
+def test_hidden_files_and_line_endings_do_not_change_the_checksum(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An editor's lock is a hidden link to nothing; a source that cannot be read gives None."""
+    monkeypatch.setattr(miho.core.tape, "__file__", str(tmp_path / "tape.py"))
+    assert checksum() is None
+    source = tmp_path / "climb.c"
+    source.write_bytes(b"int a;\nint b;\n")
+    expected = checksum()
+    source.write_bytes(b"int a;\r\nint b;\r\n")
+    (tmp_path / ".climb.c").write_bytes(b"int c;\n")
+    (tmp_path / ".#climb.c").mkdir()
+    assert checksum() == expected == zlib.crc32(b"int a;\nint b;\n")
+    (tmp_path / "other.h").mkdir()
+    assert checksum() is None
 
 
 def test_without_the_machine_numpy_runs_tapes(monkeypatch: pytest.MonkeyPatch) -> None:
