@@ -113,12 +113,16 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
         (
             "Wlak",
             {},
-            r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other$",
+            r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other, Broken$",
         ),
         ("MIHOGN", {}, "has no class MIHOGN"),
         ("Path", {}, "has no class Path"),
         ("Broken", {}, r"optimizer: .*walk.py:\d+: raises ZeroDivisionError: division by zero$"),
-        (None, {}, r"optimizer._target_: is missing; name a class of .*walk.py: Walk, Other"),
+        (
+            None,
+            {},
+            r"optimizer._target_: is missing; name a class of .*walk.py: Walk, Other, Broken$",
+        ),
         ("Bare", {}, r"_target_: Bare in .*walk.py lacks run"),
         ("os.system", {}, "has no class os.system"),
         ("Walk", {"point": 3}, r"optimizer.point: is unknown; did you mean points\?"),
