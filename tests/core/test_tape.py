@@ -152,7 +152,9 @@ def test_a_machine_from_other_sources_is_refused(stale: bool, tmp_path: Path) ->
     ignore = shutil.ignore_patterns("*.pyc")
     shutil.copytree(Path(miho.__file__).parent, tmp_path / "miho", ignore=ignore)
     if stale:
-        with (tmp_path / "miho/core/climb.c").open("a", encoding="utf-8") as file:
+        source = tmp_path / "miho/core/climb.c"
+        source.chmod(0o644)  # a checkout may be read-only
+        with source.open("a", encoding="utf-8") as file:
             file.write("/* changed */\n")
     program = "from miho.core import machine; print(machine() is None, machine() is None)"
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
