@@ -277,6 +277,7 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
         ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; expected"),
         ((decay, t[:7], y, BOX), {}, "x has 7 rows and y has 50"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
+        ((decay, t, np.ma.masked_greater(y, 1), BOX), {}, "a number is missing"),
         ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
         ((decay, t, y, BOX), {"start": {"a": 1, "b": 1}}, "lacks c"),
         ((decay, t, y, BOX), {"start": {"a": [1, 2], "b": 1, "c": 1}}, "a has 2 values"),

@@ -69,7 +69,7 @@ class Rows:
         if isinstance(y, str):
             raise ValueError(f"y is {y!r}; expected by= as well, the column that names the dataset")
         try:
-            y = np.asarray(y)
+            y = np.asanyarray(y)
         except ValueError:  # of lists with different lengths
             raise ValueError(
                 f"y: expected an array of numbers (datasets, rows), {OTHERWISE}"
