@@ -28,6 +28,7 @@ from miho.models.symbolic import (
 from miho.models.traced import Remade, TracedExpression, is_formula
 from miho.quantities import Array
 from miho.radial_map import RadialMap
+from miho.validate import is_number
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,8 @@ class Ties(Remade):
                 formulas[name] = formula_from(
                     tie, place, names, lambda other: self._resolved(other, formulas, (*above, name))
                 )
-            elif isinstance(tie, int | float):
-                formulas[name] = constant(tie)
+            elif is_number(tie):
+                formulas[name] = constant(float(tie))
             else:
                 raise ValueError(
                     f"space.{name}.tied: is {tie!r}; expected an expression as text, such as "
