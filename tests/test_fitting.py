@@ -256,6 +256,17 @@ def test_a_dataset_gives_columns_and_units() -> None:
         miho.fit(in_minutes, data, "V", BOX)
 
 
+def test_a_dataset_gives_the_unit_of_sigma_and_none_of_an_array() -> None:
+    columns = {"t": t, "V": y, "s": np.full(t.size, 0.1), "y": t}
+    units = {"t": "s", "V": "A", "s": "mA", "y": "m"}
+    data = miho.Dataset("cells", columns, units, "V")
+    with pytest.raises(ValueError, match="^sigma: .* has unit 'mA'; expected 'A', the unit of 'V'"):
+        miho.fit(decay, data, "V", BOX, sigma="s")
+    same = miho.Dataset("cells", columns, {**units, "s": "A"}, "V")
+    assert miho.fit(decay, same, "V", BOX, sigma="s").problem.scale == pytest.approx(0.1)
+    assert miho.fit(decay, data, y, BOX).problem.unit == ""
+
+
 def test_a_model_without_a_value_near_the_start_is_not_blamed_on_a_row() -> None:
     with pytest.raises(ValueError, match="in any trial of the space; change the bounds or the sta"):
         miho.fit(lambda t, a, b: a * np.log(b * t + 1e-3), t, y, start={"a": 1, "b": -1})

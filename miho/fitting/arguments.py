@@ -95,9 +95,10 @@ def data_of(
     while output in inputs:
         output += "_"
     columns = {**inputs, output: values}
-    units = {**model.inputs, output: model.output}
-    if isinstance(x, Dataset):
-        units = {name: x.units.get(name) or unit for name, unit in units.items()}
+    known = x.units if isinstance(x, Dataset) else {}
+    units = {name: known.get(name) or unit for name, unit in model.inputs.items()}
+    units[output] = (known.get(y) if isinstance(y, str) else None) or model.output
+    unit = (known.get(sigma) if isinstance(sigma, str) else None) or model.output
     sigma = _column_of(x, "sigma", sigma)
     if sigma is not None and not np.ndim(sigma):
         sigma = sigma if isinstance(sigma, bool) else float(sigma)  # which CurveFit refuses
@@ -105,7 +106,7 @@ def data_of(
         name = "sigma"
         while name in columns:
             name += "_"
-        columns[name], units[name], sigma = numbers_in(name, sigma), model.output, name
+        columns[name], units[name], sigma = numbers_in(name, sigma), unit, name
     columns = _complete(model.name or "data", columns, missing)
     return Dataset(model.name or "data", columns, units, output), model, sigma
 
