@@ -260,7 +260,9 @@ def test_a_dataset_gives_the_unit_of_sigma_and_none_of_an_array() -> None:
     columns = {"t": t, "V": y, "s": np.full(t.size, 0.1), "y": t}
     units = {"t": "s", "V": "A", "s": "mA", "y": "m"}
     data = miho.Dataset("cells", columns, units, "V")
-    with pytest.raises(ValueError, match="^sigma: .* has unit 'mA'; expected 'A', the unit of 'V'"):
+    with pytest.raises(
+        ValueError, match=r"^sigma: .* has unit 'mA'; expected 'A', the unit of 'V'"
+    ):
         miho.fit(decay, data, "V", BOX, sigma="s")
     same = miho.Dataset("cells", columns, {**units, "s": "A"}, "V")
     assert miho.fit(decay, same, "V", BOX, sigma="s").problem.scale == pytest.approx(0.1)
