@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.report import Report
 from miho.models.joint import parts_of
 from miho.models.layout import PART
 from miho.models.model import Model
@@ -190,6 +191,13 @@ def _common(problems: Sequence[CurveFit]) -> Space:
                     "expected the same in all problems"
                 )
     return Space(tuple(known.values()))
+
+
+def noise_of_fits(reports: Iterable[Report]) -> float | None:
+    """Return the noise of the first fit that has errors; None without fits."""
+    noises = [(r.at.noise, _rounding(r.problem.dataset[r.problem.dataset.output])) for r in reports]
+    exact = noises[0][0] if noises else None
+    return next((noise for noise, rounding in noises if noise > rounding), exact)
 
 
 def noise_of(system: System, noise: Mapping[str, float]) -> dict[str, float]:

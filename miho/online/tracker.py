@@ -16,7 +16,7 @@ from miho.models.identified import Identified
 from miho.online.informative import InformativeRows
 from miho.online.method import Problems, Rows, Running, rows_of
 from miho.online.motion import StepRows, is_motion, one_step
-from miho.online.outputs import TIME, Output, noise_of, system_of
+from miho.online.outputs import TIME, Output, noise_of, noise_of_fits, system_of
 from miho.online.population import Population
 from miho.online.present import present_parameters
 from miho.online.prior import start_of
@@ -94,8 +94,7 @@ class Tracker(Running):
     ) -> None:
         problem = problem.report() if isinstance(problem, Reporting) else problem
         prior = prior.report() if isinstance(prior, Reporting) else prior
-        known = problem if isinstance(problem, Report) else prior
-        noise = known.at.noise if isinstance(known, Report) else None
+        noise = noise_of_fits(each for each in (problem, prior) if isinstance(each, Report))
         if isinstance(problem, Report):
             prior = problem if prior is None else prior
             problem = problem.problem

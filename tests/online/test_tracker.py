@@ -504,6 +504,10 @@ def test_errors_of_problems_and_rows() -> None:
     )
     with pytest.raises(ValueError, match=r"no errors, .*; give its .* as sigma of miho\.fit$"):
         Tracker(exact)
+    line, box = lambda x, *, a: a * x, {"a": (0, 5)}
+    noisy = miho.fit(line, x, 2 * x + 0.1 * (-1.0) ** np.arange(20), box)
+    tracked = Tracker(miho.fit(line, x, 2 * x, box), prior=noisy)
+    assert tracked.system.sigma == pytest.approx(0.1, rel=0.1)
     assert Tracker(miho.fit(force, problem.dataset.columns, "y", problem.space, sigma=0.1))
     parts = {name: (lambda x, *, a: a * x, x, 2 * x) for name in ("left", "right")}
     with pytest.raises(ValueError, match=r"the fit of left has no errors.*miho\.fit_joint$"):
