@@ -25,6 +25,9 @@ NEXT = "_next"
 EXACT = 1e-11
 """Errors up to this share of the largest output are rounding, not noise."""
 
+LEAST = 1e-12
+"""Least estimate of sigma of a part of a joint fit, as this share of its largest output."""
+
 
 @dataclass(frozen=True, eq=False)
 class Output:
@@ -143,7 +146,7 @@ def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:
         rows = problem.dataset[PART] == k
         columns = {name: problem.dataset[name][rows] for name in part.model.inputs}
         sigma = float(np.median(problem.dataset[str(problem.sigma)][rows]))
-        if sigma <= _rounding(problem.dataset[problem.dataset.output][rows]):
+        if _is_rounding(sigma, problem.dataset[problem.dataset.output][rows], problem.sigma_known):
             raise ValueError(
                 _exact(part.name, "as the fourth entry of this part of miho.fit_joint")
             )
@@ -167,6 +170,15 @@ def _sigma(problem: CurveFit, noise: float | None) -> float:
 
 def _rounding(output: Array) -> float:
     return EXACT * float(np.abs(output).max(initial=0.0))
+
+
+def _is_rounding(sigma: float, output: Array, some_given: bool) -> bool:
+    """Whether sigma of a part was estimated from errors that are rounding.
+
+    If sigma of some parts was given, only the least estimate is certain to be none of them.
+    """
+    least = float(f"{LEAST * float(np.abs(output).max(initial=0.0)):.4g}")
+    return sigma == least if some_given else sigma <= _rounding(output)
 
 
 def _exact(name: str, place: str) -> str:

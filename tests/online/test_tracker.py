@@ -514,6 +514,10 @@ def test_errors_of_problems_and_rows() -> None:
         Tracker(miho.fit_joint(parts, {"a": (0, 5)}))
     tracked = Tracker(miho.fit_joint({n: (*p, 0.1) for n, p in parts.items()}, {"a": (0, 5)}))
     assert tracked.system.sigma.tolist() == [0.1, 0.1]
+    small = miho.fit_joint({n: (*p, 3e-12) for n, p in parts.items()}, {"a": (0, 5)})
+    assert Tracker(small).system.sigma.tolist() == [3e-12, 3e-12]
+    with pytest.raises(ValueError, match=r"the fit of right has no errors"):
+        Tracker(miho.fit_joint({**parts, "left": (*parts["left"], 0.1)}, {"a": (0, 5)}))
     narrow = Space((Parameter("B", "", 0.0, 20.0), Parameter("D", "", 0.0, 2.0)))
     other = Dataset("other", {"slip": np.ones(2), "z": np.arange(2.0)}, {"slip": "", "z": ""}, "z")
     with pytest.raises(ValueError, match="B has the bounds -50 to 50"):
