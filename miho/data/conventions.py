@@ -38,11 +38,11 @@ FLIPPED: Mapping[str, frozenset[str]] = MappingProxyType(
 CLEAR = 0.5
 """Smallest rank correlation of a column that clearly rises with another."""
 EVIDENT = 5.0
-"""Smallest rank correlation by Fisher's transform, in standard errors. Columns of 10 independent
-numbers exceed it with a probability of 3e-5, longer ones with a smaller one."""
+"""Smallest rank correlation by Fisher's transform, in standard errors. Columns of 8 to 10
+independent numbers exceed it with a probability of at most 3e-5, longer ones with a smaller one."""
 SMALL_SLIP: Mapping[str, float] = MappingProxyType({"alpha": 0.07, "kappa": 0.02})
 """Largest slip at which the aligning moment has the sign of alpha: alpha [rad], kappa [1]."""
-FEWEST = 10
+FEWEST = 8
 """Smallest number of rows for a check of signs."""
 
 

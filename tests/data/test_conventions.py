@@ -29,7 +29,7 @@ def test_driving_force_is_judged_by_slip_that_is_driven(
     assert (sign_problem(columns, UNITS) is not None) == refused
 
 
-@pytest.mark.parametrize("rows", [3, 5, 9, 10, 20, 100])
+@pytest.mark.parametrize("rows", [3, 5, 8, 9, 10, 20, 100])
 def test_noise_has_no_wrong_sign(rows: int) -> None:
     """The largest of 2000 rank correlations of 10 rows exceeds 0.5 by far."""
     rng = np.random.default_rng(0)
@@ -37,7 +37,7 @@ def test_noise_has_no_wrong_sign(rows: int) -> None:
         assert sign_problem({"alpha": alpha, "Fy": force}, TIRE) is None
 
 
-@pytest.mark.parametrize("rows", [10, 20, 100])
+@pytest.mark.parametrize("rows", [8, 9, 10, 20, 100])
 def test_a_rising_force_is_refused(rows: int) -> None:
     alpha = np.linspace(-0.1, 0.1, rows)
     problem = sign_problem({"alpha": alpha, "Fy": 4e4 * alpha}, TIRE)
