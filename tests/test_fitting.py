@@ -447,6 +447,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no column": ({"y": "W"}, "y is 'W'; expected values, or the name of a column"),
     "sigma": ({"sigma": -1.0}, "sigma is -1.0; expected a number above 0"),
     "sigma as a switch": ({"sigma": True}, "sigma is True; expected a number above 0"),
+    "sigma as a NumPy switch": ({"sigma": np.True_}, "sigma is .*True.*; expected a number above"),
     "an error of two lines": (
         {"model": _raising},
         "_raising raises RuntimeError: no first or second",

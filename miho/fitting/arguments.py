@@ -101,7 +101,8 @@ def data_of(
     unit = (known.get(sigma) if isinstance(sigma, str) else None) or model.output
     sigma = _column_of(x, "sigma", sigma)
     if sigma is not None and not np.ndim(sigma):
-        sigma = sigma if isinstance(sigma, bool) else float(sigma)  # which CurveFit refuses
+        if np.asarray(sigma).dtype != bool:  # which CurveFit refuses
+            sigma = float(sigma)
     elif sigma is not None:
         name = "sigma"
         while name in columns:
