@@ -86,9 +86,12 @@ def _directions(state: MIHOGNState, oracle: Oracle) -> Array:
     """Changes of the best minimum that move one parameter each by a standard deviation, (d, d).
 
     They are in unit coordinates, and the other parameters follow as in a profile. Empty, (0, d), if
-    derivatives are missing or the data do not determine all parameters.
+    derivatives are missing, if the data do not determine all parameters, or for more than MOST_ROWS
+    rows, which leave no room for an optimum between two rows.
     """
-    none, N = np.empty((0, state.d)), state.level_rows[-1]
+    none, N = np.empty((0, state.d)), int(state.level_rows[-1])
+    if N > MOST_ROWS:
+        return none
     theta = state.theta(state.minima.x[state.best_minimum])
     try:
         J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0) * state.box.width
