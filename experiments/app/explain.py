@@ -29,7 +29,7 @@ EXPECTED: dict[type, str] = {
 }
 HIDDEN = ("hydra", "_target_")
 LISTED, CLOSEST = 40, 5
-"""Largest number of names that a message lists; of more names only so many of the closest."""
+"""Numbers of names: a message lists all of them up to the first, else the closest ones."""
 EXTRAS = {
     "hydra/launcher": ("joblib", "submitit_local", "submitit_slurm", "slurm"),
     "hydra/job_logging": ("colorlog",),

@@ -114,8 +114,8 @@ class CommandModel(ExternalModel):
             if ended.returncode:
                 code = ended.returncode
                 end = f"exit code {code}" if code > 0 else f"signal {-code}"
-                said = "".join(f": {line}" for line in _last_line(messages))
-                raise _FailedCall(f"{program} ended with {end}{said}")
+                reason = "".join(f": {line}" for line in _last_line(messages))
+                raise _FailedCall(f"{program} ended with {end}{reason}")
             try:
                 words = Path(folder, OUTPUT).read_text(encoding="utf-8").split()
                 output = np.array([float(word) for word in words])
@@ -135,7 +135,7 @@ class _FailedCall(Exception):  # noqa: N818 -- ends a call, and no caller sees i
 
 
 def _last_line(file: IO[bytes]) -> list[str]:
-    """The last line of a program's messages that is not empty, shortened; [] if there is none."""
+    """A list of the last nonempty line of a program's messages, shortened; [] if there is none."""
     file.seek(0, os.SEEK_END)
     file.seek(max(0, file.tell() - TAIL))
     lines = file.read().decode(errors="replace").split("\n")

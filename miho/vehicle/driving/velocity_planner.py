@@ -267,7 +267,7 @@ def _speed_up(
     car: FrictionCar, powers: _Powers, curvature: Array, bank: Array, limits: Array, step: float
 ) -> Array:
     """Return speeds (n,) below the limits with feasible gains of speed between points."""
-    # Both passes begin at the lowest limit, which is not affected by other points.
+    # Both passes begin at the lowest speed, which no other point changes.
     n, start = limits.size, np.argmin(limits)
     v = limits.copy()
     for k in range(n):
