@@ -29,7 +29,7 @@ EXPECTED: dict[type, str] = {
 }
 HIDDEN = ("hydra", "_target_")
 LISTED, CLOSEST = 40, 5
-"""Numbers of names: a message lists all of them up to the first, else the closest ones."""
+"""A message lists at most LISTED names; of more names it lists the CLOSEST best matches."""
 EXTRAS = {
     "hydra/launcher": ("joblib", "submitit_local", "submitit_slurm", "slurm"),
     "hydra/job_logging": ("colorlog",),
