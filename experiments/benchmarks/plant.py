@@ -1,12 +1,11 @@
-"""Speed and accuracy of the plants, and the time to plan a lap.
+"""Speed and accuracy of the plant, and the time to plan a lap.
 
 python -m experiments.benchmarks.plant [--quick] [--output FOLDER]
 
-Speed is simulated seconds per second of one thread, at a step of 1 ms: plant 1 in control periods
-of 10 ms, as in a closed loop, and of 100 ms; plant 2 in control periods, if its package is
-installed. The plants alternate, and the fastest of many short turns counts. Accuracy is the change
-with half the step in a lap of IMS in closed loop, with braking before the turns. Plans are of a lap
-of LVMS; the median of 30 counts.
+Speed is simulated seconds per second of one thread, at a step of 1 ms, in control periods of 10 ms,
+as in a closed loop, and of 100 ms. The two alternate, and the fastest of many short turns counts.
+Accuracy is the change with half the step in a lap of IMS in closed loop, with braking before the
+turns. Plans are of a lap of LVMS; the median of 30 counts.
 """
 
 from __future__ import annotations
@@ -34,10 +33,9 @@ from miho.vehicle.driving.double_track import DoubleTrack
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_engine, embedded_plant, embedded_tires
 from miho.vehicle.driving.known_car import KnownCar
-from miho.vehicle.driving.multi_body import MultiBody
 from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
-from miho.vehicle.driving.plant import Command, Plant, State
+from miho.vehicle.driving.plant import Command
 from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.simulation import simulate
 from miho.vehicle.driving.vehicle import Vehicle
@@ -56,15 +54,15 @@ def av21() -> Vehicle:
     return Vehicle.from_settings(settings)  # type: ignore[arg-type]
 
 
-def held(plant: Plant[State], command: Command, period: float, count: int) -> Callable[[], object]:
+def held(car: DoubleTrack, command: Command, period: float, count: int) -> Callable[[], object]:
     """Job of `count` periods under one command, always from the same start."""
-    start = plant.start(speed=40.0, gear=4)
+    start = car.start(speed=40.0, gear=4)
 
     def run() -> None:
         state = start
         for _ in range(count):
-            state = plant.advance(state, command, period)
-            plant.motion(state)
+            state = car.advance(state, command, period)
+            car.motion(state)
 
     return run
 
@@ -72,24 +70,18 @@ def held(plant: Plant[State], command: Command, period: float, count: int) -> Ca
 def speeds(car: DoubleTrack, quick: bool) -> pd.DataFrame:
     """Simulated seconds per second."""
     jobs = {
-        "plant 1, 10 ms": (0.1, held(car, CRUISE, PERIOD, 10)),
-        "plant 1, 100 ms": (0.1, held(car, CRUISE, 0.1, 1)),
+        "10 ms": held(car, CRUISE, PERIOD, 10),
+        "100 ms": held(car, CRUISE, 10 * PERIOD, 1),
     }
-    try:
-        other = MultiBody(car.vehicle, car.engine, car.brake)
-    except ImportError as error:
-        print(error)
-    else:
-        jobs["plant 2, 10 ms"] = (PERIOD, held(other, CRUISE, PERIOD, 1))
     # Turns are short, so that other programs do not interrupt all of them.
-    took = interleaved({name: job for name, (_, job) in jobs.items()}, 50 if quick else 500, 1e-4)
+    took = interleaved(jobs, 50 if quick else 500, 1e-4)
     rows = [
         {
-            "": name,
-            "times real time": seconds / took[name],
-            "us per step": 1e3 * took[name] / seconds,
+            "period": name,
+            "times real time": 10 * PERIOD / seconds,
+            "us per step": 1e3 * seconds / (10 * PERIOD),
         }
-        for name, (seconds, _) in jobs.items()
+        for name, seconds in took.items()
     ]
     return pd.DataFrame(rows)
 
@@ -131,7 +123,7 @@ def measure(quick: bool) -> Measured:
     fast, planned = speeds(car, quick), plans(vehicle)
     laps = [lap_time(vehicle, step) for step in (1e-3, 5e-4)]
     bars = [
-        Bar("real time factor of plant 1", float(fast["times real time"].iloc[0]), AT_LEAST, 50.0),
+        Bar("real time factor", float(fast["times real time"].iloc[0]), AT_LEAST, 50.0),
         Bar("half the step: lap time, relative", abs(laps[1] / laps[0] - 1), AT_MOST, 1e-4),
         Bar("a plan of LVMS", float(planned["plan [ms]"].max()), AT_MOST, 50.0, "ms"),
     ]

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from miho.vehicle.driving.known_car import KnownCar
     from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
     from miho.vehicle.driving.load_transfer import LoadTransfer, WheelLoads
-    from miho.vehicle.driving.multi_body import MultiBody
     from miho.vehicle.driving.ovals import ims, lvms
     from miho.vehicle.driving.plant import Command, Motion, Plant
     from miho.vehicle.driving.road import PLANE, Road, road_of
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PLANE", "Command", "DoubleTrack", "Drive", "Driver", "FrictionSchedule", "FrictionSource",
-    "KnownCar", "LearningDriver", "LoadTransfer", "Motion", "MultiBody", "Plant", "Road", "Sensors",
-    "Track", "Vehicle", "VelocityPlanner", "WheelLoads",
+    "KnownCar", "LearningDriver", "LoadTransfer", "Motion", "Plant", "Road", "Sensors", "Track",
+    "Vehicle", "VelocityPlanner", "WheelLoads",
     "embedded_plant", "ims", "lvms", "road_of", "simulate",
 ]  # fmt: skip
 

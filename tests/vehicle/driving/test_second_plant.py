@@ -10,12 +10,12 @@ import pytest
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import KnownCar, static_loads
-from miho.vehicle.driving.multi_body import MultiBody
 from miho.vehicle.driving.ovals import lvms
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.simulation import Drive, simulate
 from tests.vehicle.driving.cars import car
+from tests.vehicle.driving.multi_body import MultiBody
 
 pytest.importorskip("vehiclemodels")
 
