@@ -1,6 +1,6 @@
 /* miho.core._machine: the interface to Python. Tapes are checked here, once. */
-#include "module.h"
 #include <string.h>
+#include "module_arrays.h"
 
 #define LONG_CALL 2000 /* model values from which other threads may run */
 
@@ -120,78 +120,54 @@ static PyObject *py_tape(PyObject *module, PyObject *args) {
     return PyCapsule_New(t, "tape", drop);
 }
 
-/* Contiguous doubles of an object, at least `least`; the caller releases them. */
-static double *doubles(PyObject *o, Py_buffer *view, int writable, int64_t least) {
-    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
-    if (PyObject_GetBuffer(o, view, flags)) { view->obj = NULL; return NULL; }
-    if (view->itemsize == 8 && view->format && !strcmp(view->format, "d") &&
-        view->len / 8 >= least) return view->buf;
-    PyErr_SetString(PyExc_ValueError, "expected a larger contiguous array of doubles");
-    return NULL;
-}
-
-static int64_t rows_in(const Py_buffer *X, const tape *t) {
-    return t->inputs ? X->len / 8 / t->inputs : 0;
-}
-
-/* Number of parameter rows in a buffer. */
-static int64_t configurations(const Py_buffer *thetas, const tape *t) {
-    return t->parameters ? thetas->len / 8 / t->parameters : 1;
-}
-
 PyDoc_STRVAR(evaluate_doc,
     "evaluate(tape, thetas (n, d), X (p, N), out (n, results, N)): fill out.");
 static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t count) {
-    tape *t = count == 4 ? PyCapsule_GetPointer(a[0], "tape") : NULL;
-    if (!t) return PyErr_Occurred() ? NULL
-        : PyErr_Format(PyExc_TypeError, "expected evaluate(tape, thetas, X, out)");
-    Py_buffer V[3] = {{0}};
-    int done = 0;
-    double *thetas = doubles(a[1], &V[0], 0, t->parameters);
-    double *X = thetas ? doubles(a[2], &V[1], 0, t->inputs) : NULL;
-    int64_t n = configurations(&V[0], t), N = X ? rows_in(&V[1], t) : 0;
-    double *out = X ? doubles(a[3], &V[2], 1, 0) : NULL;
-    if (out && (double)(V[2].len / 8) != (double)n * (double)t->results * (double)N)
-        PyErr_SetString(PyExc_ValueError, "expected out of shape (n, results, N)");
-    else if (out && n * N < LONG_CALL) done = tape_evaluate(t, thetas, n, X, N, out);
-    else if (out) {
+    if (count != 4) return PyErr_Format(PyExc_TypeError, "evaluate takes 4 arguments");
+    const tape *t = PyCapsule_GetPointer(a[0], "tape");
+    if (!t) return NULL;
+    arrays all;
+    begin_call(&all, "evaluate");
+    int64_t n[] = {-1, t->parameters}, N[] = {t->inputs, -1};
+    double *out = NULL, *thetas = array_of(&all, a[1], "thetas", 'd', 2, n);
+    double *X = thetas ? array_of(&all, a[2], "X", 'd', 2, N) : NULL;
+    int64_t shape[] = {n[0], t->results, N[1]};
+    int done = 0, taken = X && (out = array_of(&all, a[3], "out", 'D', 3, shape)) != NULL;
+    if (taken && n[0] * N[1] < LONG_CALL) done = tape_evaluate(t, thetas, n[0], X, N[1], out);
+    else if (taken) {
         Py_BEGIN_ALLOW_THREADS
-        done = tape_evaluate(t, thetas, n, X, N, out);
+        done = tape_evaluate(t, thetas, n[0], X, N[1], out);
         Py_END_ALLOW_THREADS
     }
-    for (int k = 0; k < 3; k++) PyBuffer_Release(&V[k]);
-    if (done) return none();
-    return PyErr_Occurred() ? NULL : PyErr_NoMemory();
+    return end_call(&all, taken, done);
 }
 
 PyDoc_STRVAR(mean_squares_doc,
     "mean_squares(tape, thetas (n, d), X (p, N), y (rows,), first, out (n,)): fill out with means "
     "of (result - y)^2 over the first rows of X, in blocks; the first block has `first` rows.");
 static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_t count) {
-    tape *t = count == 6 ? PyCapsule_GetPointer(a[0], "tape") : NULL;
-    if (!t) return PyErr_Occurred() ? NULL
-        : PyErr_Format(PyExc_TypeError, "expected mean_squares(tape, thetas, X, y, first, out)");
+    if (count != 6) return PyErr_Format(PyExc_TypeError, "mean_squares takes 6 arguments");
+    const tape *t = PyCapsule_GetPointer(a[0], "tape");
     measurements d = {.first = PyLong_AsLongLong(a[4])};
-    if (d.first == -1 && PyErr_Occurred()) return NULL;
-    Py_buffer V[4] = {{0}};
-    int done = 0;
-    double *thetas = doubles(a[1], &V[0], 0, 0), *out = NULL;
-    if (thetas && (d.X = doubles(a[2], &V[1], 0, t->inputs)) && (d.y = doubles(a[3], &V[2], 0, 1)))
-        out = doubles(a[5], &V[3], 1, configurations(&V[0], t));
-    d.N = rows_in(&V[1], t);
-    d.rows = V[2].len / 8;
-    if (out && (d.rows > d.N || d.first < 1 || t->results != 1))
-        PyErr_SetString(PyExc_ValueError, "expected a tape of one result, no more data than rows "
-                        "of X, and a first block");
-    else if (out) {
-        int64_t n = configurations(&V[0], t);
+    if (PyErr_Occurred()) return NULL;
+    arrays all;
+    begin_call(&all, "mean_squares");
+    int64_t n[] = {-1, t->parameters}, N[] = {t->inputs, -1}, rows = -1;
+    double *thetas = array_of(&all, a[1], "thetas", 'd', 2, n), *out = NULL;
+    int done = 0, taken = thetas && (d.X = array_of(&all, a[2], "X", 'd', 2, N)) &&
+        (d.y = array_of(&all, a[3], "y", 'd', 1, &rows)) &&
+        (out = vector_of(&all, a[5], "out", 'D', n[0]));
+    d.N = N[1];
+    d.rows = rows;
+    if (taken && (rows < 1 || rows > d.N || d.first < 1 || t->results != 1))
+        taken = refuse(&all, "expected a tape of one result, no more data than rows of X, and a "
+                       "first block");
+    if (taken) {
         Py_BEGIN_ALLOW_THREADS
-        done = tape_mean_squares(t, thetas, n, &d, out);
+        done = tape_mean_squares(t, thetas, n[0], &d, out);
         Py_END_ALLOW_THREADS
     }
-    for (int k = 0; k < 4; k++) PyBuffer_Release(&V[k]);
-    if (done) return none();
-    return PyErr_Occurred() ? NULL : PyErr_NoMemory();
+    return end_call(&all, taken, done);
 }
 
 PyDoc_STRVAR(address_doc, "address(tape): its address for compiled code, while the tape lives.");

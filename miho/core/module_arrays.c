@@ -64,3 +64,9 @@ void release_arrays(arrays *all) {
     for (int k = 0; k < all->count; k++) PyBuffer_Release(&all->view[k]);
     for (int k = 0; k < 2; k++) Py_XDECREF(all->tape[k]);
 }
+
+PyObject *end_call(arrays *all, int taken, int done) {
+    release_arrays(all);
+    if (taken && done) return none();
+    return taken ? PyErr_NoMemory() : NULL;
+}

@@ -30,6 +30,9 @@ PyObject *field_of(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t
 /* Set an error, and return 0. */
 int refuse(const arrays *all, const char *what);
 void release_arrays(arrays *all);
+/* Release the arrays, and return None if a call was `done`; else an error, of memory if its arguments
+   were `taken`. */
+PyObject *end_call(arrays *all, int taken, int done);
 /* Product, negative if it overflows. */
 int64_t product_of(int64_t a, int64_t b);
 #endif

@@ -112,8 +112,5 @@ PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
         done = fit_many(&data, &starts, which, n, &by, &ends);
         PyEval_RestoreThread(thread);
     }
-    release_arrays(&all);
-    if (!taken || PyErr_Occurred()) return NULL;
-    if (!done) return PyErr_NoMemory();
-    return none();
+    return end_call(&all, taken && !PyErr_Occurred(), done);
 }

@@ -39,11 +39,7 @@ PyObject *py_update_population(PyObject *module, PyObject *const *a, Py_ssize_t 
         (memory = vector_of(&all, a[4], "memory", 'D', length_of_memory(&of))) &&
         (estimate = vector_of(&all, a[5], "estimate", 'D', length_of_estimate(&of))) &&
         are_apart(&all);
-    int done = taken && track_update(&of, rules, row, memory, estimate);
-    release_arrays(&all);
-    if (!taken) return NULL;
-    if (!done) return PyErr_NoMemory();
-    return none();
+    return end_call(&all, taken, taken && track_update(&of, rules, row, memory, estimate));
 }
 
 const char mixture_reach_doc[] =
@@ -68,7 +64,5 @@ PyObject *py_mixture_reach(PyObject *module, PyObject *const *a, Py_ssize_t coun
         of.d = shape[1];
         mixture_reach(&of, centre, probability, out);
     }
-    release_arrays(&all);
-    if (!taken) return NULL;
-    return none();
+    return end_call(&all, taken, taken);
 }

@@ -105,12 +105,6 @@ static int take_both(arrays *all, PyObject *const *tapes, PyObject *record, moti
     return 1;
 }
 
-static PyObject *ended(arrays *all, int taken, int done) {
-    release_arrays(all);
-    if (taken && done) return none();
-    return taken ? PyErr_NoMemory() : NULL;
-}
-
 const char solve_trajectories_doc[] =
     "solve_trajectories(rates, outputs, thetas (n, d), course, out (n, R)): fill out. The tapes of "
     "rates and outputs have the inputs x and p, and the parameters t and u.";
@@ -137,7 +131,7 @@ PyObject *py_solve_trajectories(PyObject *module, PyObject *const *a, Py_ssize_t
         done = trajectory_solve(&m, &c, thetas, shape[0], out);
         Py_END_ALLOW_THREADS
     }
-    return ended(&all, taken, done);
+    return end_call(&all, taken, done);
 }
 
 const char derive_trajectory_doc[] =
@@ -166,5 +160,5 @@ PyObject *py_derive_trajectory(PyObject *module, PyObject *const *a, Py_ssize_t 
         done = trajectory_derive(&m, of, &c, theta, out);
         Py_END_ALLOW_THREADS
     }
-    return ended(&all, taken, done);
+    return end_call(&all, taken, done);
 }
