@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from miho.compiled.factors import fold, solve_in_box
 from miho.compiled.gauss_newton_bracket import GNRules, square_distance
 from miho.compiled.gauss_newton_candidates import (
@@ -27,7 +29,7 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
 )
 from miho.compiled.phases import CHUNK
-from miho.compiled.triangular import norm
+from miho.compiled.triangular import between, in_order, norm
 from miho.compiled.workspace import Work
 from miho.quantities import Array
 
@@ -61,11 +63,10 @@ SMALLEST_SCALE = 1e-10
 
 def to_units(x: Array, box: GNBox, theta: Array) -> None:
     """Write the configuration at unit coordinates x (d,) into theta (d,), in units."""
-    for k in range(x.size):
-        value = box.origin[k] + box.width[k] * x[k]
-        if box.log[k]:
-            value = math.exp(value)
-        theta[k] = min(max(value, box.low[k]), box.high[k])
+    theta[:] = box.origin + box.width * x
+    for k in box.log.nonzero()[0]:
+        theta[k] = math.exp(theta[k])
+    theta[:] = between(box.low, theta, box.high)
 
 
 def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
@@ -79,23 +80,18 @@ def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
     d = c.x.shape[1]
     n, first = d, 0
     if c.projects[i]:
-        n = box.nonlinear.size
-        for k in box.linear:
-            first += is_free(c.x[i, k])
+        n, first = box.nonlinear.size, sum(is_free(c.x[i, k]) for k in box.linear)
     # Copy the triangle; a scale is the norm of its column, and decreases slowly.
-    R, q, D = c.R[i], c.q[i], c.D[i]
-    finite, largest = True, 0.0
-    for k in range(n):
-        square = 0.0
-        for j in range(n):
-            R[j, k] = w.T[first + j, first + k] if j <= k else 0.0
-            square += R[j, k] * R[j, k]
-        q[k] = w.T[first + k, first + n]
-        D[k] = max(math.sqrt(square), c.fading[i] * D[k])
-        largest = max(largest, D[k])
-        finite = finite and math.isfinite(D[k]) and math.isfinite(q[k])
-    for k in range(n):
-        D[k] = max(D[k], SMALLEST_SCALE * largest)
+    R = c.R[i, :n, :n] = w.T[first : first + n, first : first + n]
+    q = c.q[i, :n] = w.T[first : first + n, first + n]
+    squares = np.zeros(n)
+    for row in R:
+        squares += row * row
+    D, faded = np.sqrt(squares), c.fading[i] * c.D[i, :n]
+    D = np.where(faded > D, faded, D)
+    largest = np.fmax.reduce(D, initial=0.0)
+    finite = bool((np.isfinite(D) & np.isfinite(q)).all())
+    c.D[i, :n] = np.maximum(D, SMALLEST_SCALE * largest)
     c.stage[i] = READY if finite else UNUSABLE
     if finite and n and largest == 0:
         c.stage[i] = DONE
@@ -178,45 +174,41 @@ def correct_trial(c: GNCandidates, i: int, m: int, rules: GNRules, w: Work) -> b
     if c.derivatives.shape[2] == 0 or c.projects[i] or c.secants[i]:
         return False
     # Q' (r + b) from the residuals of the trial.
-    x, trial, q = c.x[i], c.trial[i], w.T[:, d]
+    x, trial, D = c.x[i], c.trial[i], c.D[i]
     refold(c.derivatives[i], d, w.residuals, m, w)
+    q = w.T[:d, d]
     for k in range(d):
-        for j in range(k, d):
-            q[k] -= c.R[i, k, j] * (trial[j] - x[j])
-        if not math.isfinite(q[k]):
-            return False
-        w.low[k], w.high[k] = max(-x[k], -rules.reach), min(1 - x[k], rules.reach)
-    set_damping(c, i, d, rules.last, w.scale)
-    solve_in_box(c.R[i], q, w.scale, w.low, w.high, d, w.step, w.solver)
-    turn, length = 0.0, 0.0
-    for k in range(d):
-        before = c.D[i, k] * (trial[k] - x[k])
-        change = c.D[i, k] * w.step[k] - before
-        turn += change * change
-        length += before * before
-    if turn > BEND * BEND * length:
+        q[: k + 1] -= c.R[i, : k + 1, k] * (trial[k] - x[k])
+    if not np.isfinite(q).all():
         return False
-    for k in range(d):
-        trial[k] = min(max(x[k] + w.step[k], 0.0), 1.0)
+    low, high = limits(x, rules)
+    solve_in_box(c.R[i], q, damping_of(c, i, d, rules.last), low, high, w.step)
+    before = D * (trial - x)
+    change = D * w.step - before
+    if in_order(change * change) > BEND * BEND * in_order(before * before):
+        return False
+    trial[:] = between(0.0, x + w.step, 1.0)
     return True
 
 
-def set_damping(c: GNCandidates, i: int, n: int, alike: bool, scale: Array) -> None:
-    """Write the damping of the first n coordinates as square roots.
+def limits(x: Array, rules: GNRules) -> tuple[Array, Array]:
+    """Bounds of a step from coordinates (n,), in the box and within reach."""
+    return np.maximum(-x, -rules.reach), np.minimum(1 - x, rules.reach)
+
+
+def damping_of(c: GNCandidates, i: int, n: int, alike: bool) -> Array:
+    """Damping of the first n coordinates as square roots, (n,).
 
     The stronger the damping, the more equally coordinates count. A scale is the size of a
     parameter's derivatives at the candidate; long steps along parameters without effect there would
     be rejected. Without `alike` the scales alone count: on fewer than all rows, where there are
     many candidates and steps are cheap, and to decide whether a descent is done.
     """
-    largest = 0.0
-    for k in range(n):
-        largest = max(largest, c.D[i, k])
-    root, least = math.sqrt(c.damping[i]), 0.0
+    D, least = c.D[i, :n], 0.0
     if alike:
+        largest = np.fmax.reduce(D, initial=0.0)
         least = min(c.damping[i], 1.0) * largest * largest
-    for k in range(n):
-        scale[k] = root * math.sqrt(c.D[i, k] * c.D[i, k] + least)
+    return np.asarray(math.sqrt(c.damping[i]) * np.sqrt(D * D + least))
 
 
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
@@ -227,13 +219,9 @@ def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
 
 def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
     """Broyden update of the derivatives after a trial, in the metric of the scales D."""
-    x, trial, D = c.x[i], c.trial[i], c.D[i]
-    total = 0.0
-    for k in range(x.size):
-        w.step[k] = trial[k] - x[k]
-        scaled = D[k] * w.step[k]
-        total += scaled * scaled
-    update_columns(c.derivatives[i], D, total, m, w)
+    w.step[:] = c.trial[i] - c.x[i]
+    scaled = c.D[i] * w.step
+    update_columns(c.derivatives[i], c.D[i], in_order(scaled * scaled), m, w)
 
 
 def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
@@ -261,28 +249,19 @@ def refold(columns: Array, count: int, last: Array, m: int, w: Work) -> None:
 
 def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w: Work) -> None:
     """Set the next trial of a candidate with known derivatives, or mark it as done."""
-    d = c.x.shape[1]
-    n = box.nonlinear.size if c.projects[i] else d
-    x, trial = c.x[i], c.trial[i]
+    moved = box.nonlinear if c.projects[i] else np.arange(c.x.shape[1])
+    n, at = moved.size, c.x[i, moved]
     if n == 0:
         c.stage[i], c.predicted_gain[i] = DONE, 0.0
         return
-    # The step stays in the box, and within reach.
-    low, high, scale = w.low, w.high, w.scale
-    for k in range(n):
-        at = x[box.nonlinear[k]] if c.projects[i] else x[k]
-        low[k], high[k] = max(-at, -rules.reach), min(1 - at, rules.reach)
     # Decrease the damping until the predicted gain is large enough.
-    total = c.loss[i] * m
-    square = 0.0
-    for k in range(n):
-        square += c.q[i, k] * c.q[i, k]
+    (low, high), step, q = limits(at, rules), w.step[:n], c.q[i, :n]
+    total, square = c.loss[i] * m, in_order(q * q)
     for _ in range(TRIES):
         predicted = 0.0
         for alike in range(int(rules.last), -1, -1):
-            set_damping(c, i, n, alike > 0, scale)
-            solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.solver)
-            c.predicted_gain[i] = square - norm(c.R[i], c.q[i], n, w.step)
+            solve_in_box(c.R[i], q, damping_of(c, i, n, alike > 0), low, high, step)
+            c.predicted_gain[i] = square - norm(c.R[i], q, step)
             predicted = c.predicted_gain[i] / total if total > 0 else 0.0
             if predicted > rules.tolerance:
                 break
@@ -295,14 +274,9 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
             return
         c.damping[i] *= LESS
     # A step that rounding removes ends the descent.
-    for k in range(d):
-        trial[k] = x[k]
-    differs = False
-    for k in range(n):
-        at = box.nonlinear[k] if c.projects[i] else k
-        trial[at] = min(max(x[at] + w.step[k], 0.0), 1.0)
-        differs = differs or trial[at] != x[at]
-    c.stage[i] = TRIED if differs else DONE
+    c.trial[i] = c.x[i]
+    c.trial[i, moved] = between(0.0, at + step, 1.0)
+    c.stage[i] = TRIED if (c.trial[i] != c.x[i]).any() else DONE
 
 
 def nears_known_minimum(
@@ -350,27 +324,18 @@ def solve_linear(c: GNCandidates, i: int, box: GNBox, m: int, w: Work) -> float:
     w.T is the triangular factor of their columns, in box widths, and of the residuals at w.theta.
     The loss is infinite if it is not finite.
     """
-    p = box.linear.size
-    for j in range(p + 1):
-        for k in range(j, p + 1):
-            if not math.isfinite(w.T[j, k]):
-                return math.inf
-    q = w.T[:, p]
-    for j in range(p):
-        k = box.linear[j]
-        width = box.high[k] - box.low[k]
-        w.scale[j] = 0.0
-        w.low[j] = (box.low[k] - w.theta[k]) / width
-        w.high[j] = (box.high[k] - w.theta[k]) / width
-    solve_in_box(w.T, q, w.scale, w.low, w.high, p, w.step, w.solver)
-    square = w.T[p, p] * w.T[p, p] + norm(w.T, q, p, w.step)
-    for j in range(p):
-        k = box.linear[j]
-        value = w.theta[k] + (box.high[k] - box.low[k]) * w.step[j]
-        value = min(max(value, box.low[k]), box.high[k])
-        if box.log[k]:
-            value = math.log(value)
-        c.trial[i, k] = min(max((value - box.origin[k]) / box.width[k], 0.0), 1.0)
+    linear, p = box.linear, box.linear.size
+    if not np.isfinite(w.T[: p + 1, : p + 1]).all():
+        return math.inf
+    low, high, theta = box.low[linear], box.high[linear], w.theta[linear]
+    width, step, q = high - low, w.step[:p], w.T[:p, p]
+    solve_in_box(w.T, q, np.zeros(p), (low - theta) / width, (high - theta) / width, step)
+    square = w.T[p, p] * w.T[p, p] + norm(w.T, q, step)
+    values = between(low, theta + width * step, high)
+    for j in box.log[linear].nonzero()[0]:
+        values[j] = math.log(values[j])
+    values = (values - box.origin[linear]) / box.width[linear]
+    c.trial[i, linear] = between(0.0, values, 1.0)
     return float(square / m)
 
 

@@ -42,6 +42,7 @@ from miho.compiled.phases import (
     look_again,
     nearness,
 )
+from miho.compiled.triangular import norm
 from miho.quantities import Array, Integers
 
 POLISHING = 50
@@ -263,11 +264,5 @@ def keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
 
 def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
     """|R (x_i - x)|^2: the change of a candidate's linear model from x_i to x (d,)."""
-    n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
-    for row in range(n):
-        value = 0.0
-        for k in range(row, n):
-            at = box.nonlinear[k] if c.projects[i] else k
-            value += c.R[i, row, k] * (c.x[i, at] - x[at])
-        total += value * value
-    return total
+    away = c.x[i] - x
+    return norm(c.R[i], np.zeros(x.size), away[box.nonlinear] if c.projects[i] else away)

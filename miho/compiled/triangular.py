@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import sys
 
-from miho.compiled.workspace import SolverScratch
-from miho.quantities import Array
+import numpy as np
+from numpy.typing import NDArray
 
+from miho.quantities import Array, Integers
+
+Mask = NDArray[np.bool_]
 SINGULAR = 1e-14
 """A pivot below this share of the largest pivot, or of its column, counts as 0: its parameter
 depends on the previous ones, and stays unchanged while the same others are free."""
-DEPENDENT = 0.5
-"""Marks such a parameter; free parameters have 1, parameters at a bound 0."""
 SMALLEST = sys.float_info.min
 """The smallest normal number."""
 
@@ -20,6 +21,27 @@ SMALLEST = sys.float_info.min
 def square_sum(r: Array, count: int) -> float:
     """Sum of the squares of the first residuals."""
     return float(r[:count] @ r[:count])
+
+
+def between(low: Array | float, x: Array, high: Array | float) -> Array:
+    """The numbers x, or their nearest bounds; faster than `numpy.clip` for few of them."""
+    return np.asarray(np.minimum(np.maximum(x, low), high))
+
+
+def in_order(values: Array) -> float:
+    """Sum of values (n,) from the first to the last, as the machine adds them."""
+    total = 0.0
+    for value in values.tolist():
+        total += value
+    return total
+
+
+def product(R: Array, s: Array) -> Array:
+    """R s of a triangular R (n, n) and s (n,), with sums as by `in_order`."""
+    values = np.zeros(s.size)
+    for k in range(s.size):
+        values[: k + 1] += R[: k + 1, k] * s[k]
+    return values
 
 
 def fold(T: Array, columns: Array, count: int, n: int) -> None:
@@ -44,20 +66,11 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
         others -= products[:, None] * v
 
 
-def solve_in_box(
-    R: Array,
-    q: Array,
-    scale: Array,
-    low: Array,
-    high: Array,
-    n: int,
-    s: Array,
-    scratch: SolverScratch,
-) -> None:
-    """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s, by an active set.
+def solve_in_box(R: Array, q: Array, scale: Array, low: Array, high: Array, s: Array) -> None:
+    """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s (n,), by an active set.
 
-    R is triangular in its first n rows and columns; q, scale, low and high are (n,) or longer, low
-    <= 0 <= high. First, all parameters that the solution would take out of the box are fixed at its
+    R is triangular in its first n rows and columns; the other arrays are (n,) or longer, low <= 0
+    <= high. First, all parameters that the solution would take out of the box are fixed at its
     bounds at once, and the others are solved again. Then the fixed parameter with the steepest
     inward gradient is freed, and the step to the new solution ends at the first bound, so that each
     step decreases the sum of squares, until the Karush-Kuhn-Tucker conditions hold [1]_, or 3 n
@@ -68,90 +81,51 @@ def solve_in_box(
     .. [1] P. B. Stark, R. L. Parker, "Bounded-variable least-squares", Computational Statistics 10
        (1995) 129-141.
     """
-    free = scratch.free
-    for k in range(n):
-        s[k], free[k] = 0.0, 1.0
-    while _minimise_free(R, q, scale, low, high, n, s, False, scratch):
+    n = s.size
+    R, q, scale, low, high = R[:n, :n], q[:n], scale[:n], low[:n], high[:n]
+    s[:], fixed = 0.0, np.zeros(n, dtype=bool)
+    while _minimise_free(R, q, scale, low, high, s, fixed, False):
         pass
     for _ in range(3 * n):
-        steepest, candidate = 0.0, -1
-        for k in range(n):
-            if free[k]:
-                continue
-            slope = scale[k] * scale[k] * s[k]
-            for row in range(k + 1):
-                slope += R[row, k] * row_of(R, q, n, s, row)
-            inward = slope < 0 if s[k] <= low[k] else slope > 0
-            if inward and abs(slope) > steepest:
-                steepest, candidate = abs(slope), k
-        if candidate < 0:
+        slopes, residuals = scale * scale * s, product(R, s) + q
+        for row in range(n):
+            slopes[row:] += R[row, row:] * residuals[row]
+        inward = fixed & np.where(s <= low, slopes < 0, slopes > 0)
+        if not inward.any():
             return
-        free[candidate] = 1.0
-        while _minimise_free(R, q, scale, low, high, n, s, True, scratch):
+        fixed[np.argmax(np.where(inward, np.abs(slopes), 0.0))] = False
+        while _minimise_free(R, q, scale, low, high, s, fixed, True):
             pass
 
 
-def row_of(R: Array, q: Array, n: int, s: Array, row: int) -> float:
-    """One row of R s + q."""
-    value = 0.0
-    for k in range(row, n):
-        value += R[row, k] * s[k]
-    return value + float(q[row])
+def norm(R: Array, q: Array, s: Array) -> float:
+    """|R s + q|^2 of the first rows and columns of R, as many as s (n,) has."""
+    values = product(R, s) + q[: s.size]
+    return in_order(values * values)
 
 
-def norm(R: Array, q: Array, n: int, s: Array) -> float:
-    """|R s + q|^2."""
-    total = 0.0
-    for row in range(n):
-        value = row_of(R, q, n, s, row)
-        total += value * value
-    return total
-
-
-def factor_of_free(
-    R: Array, q: Array, scale: Array, n: int, s: Array, scratch: SolverScratch
-) -> int:
-    """Factor of the free parameters, the others fixed, into scratch.T; returns their number."""
-    free, columns, T = scratch.free, scratch.columns, scratch.T
-    count = 0
-    for k in range(n):
-        if free[k] == 1.0:
-            for row in range(n):
-                columns[count, row] = R[row, k] if row <= k else 0.0
-                columns[count, n + row] = scale[k] if row == k else 0.0
-            count += 1
-    for row in range(n):
-        right = q[row]
-        for k in range(row, n):
-            if free[k] != 1.0:
-                right += R[row, k] * s[k]
-        columns[count, row], columns[count, n + row] = right, 0.0
-    for j in range(count + 1):
-        for k in range(count + 1):
-            T[j, k] = 0.0
+def factor_of(is_free: Mask, R: Array, q: Array, scale: Array, s: Array) -> tuple[Integers, Array]:
+    """Free parameters, and the triangular factor of them, with the others fixed at s."""
+    free = is_free.nonzero()[0]
+    n, count = s.size, free.size
+    columns = np.zeros((count + 1, 2 * n))
+    columns[:count, :n] = R[:, free].T
+    columns[np.arange(count), n + free] = scale[free]
+    right = columns[count, :n]
+    right[:] = q
+    for k in (~is_free).nonzero()[0]:
+        right[: k + 1] += R[: k + 1, k] * s[k]
+    T = np.zeros((count + 1, count + 1))
     fold(T, columns, 2 * n, count + 1)
-    return count
+    return free, T
 
 
-def independent(n: int, count: int, scratch: SolverScratch) -> bool:
-    """Whether no free parameter depends on previous ones; marks the first that does.
-
-    The factor must then be computed again without it: its column has only rounding left, but uses a
-    row of the factor.
-    """
-    T, largest, j = scratch.T, 0.0, 0
-    for k in range(count):
-        largest = max(largest, abs(T[k, k]))
-    for k in range(n):
-        if scratch.free[k] == 1.0:
-            norm = 0.0
-            for row in range(j + 1):
-                norm = max(norm, abs(T[row, j]))
-            if abs(T[j, j]) <= SINGULAR * max(largest, norm):
-                scratch.free[k] = DEPENDENT
-                return False
-            j += 1
-    return True
+def dependent(T: Array) -> Integers:
+    """Columns of a factor, but for its last one, that depend on previous ones."""
+    sizes = np.abs(T[:-1, :-1])
+    pivots = sizes.diagonal()
+    largest = np.fmax(np.fmax.reduce(sizes, axis=0, initial=0.0), np.fmax.reduce(pivots, initial=0))
+    return np.asarray((pivots <= SINGULAR * largest).nonzero()[0])
 
 
 def _minimise_free(
@@ -160,50 +134,38 @@ def _minimise_free(
     scale: Array,
     low: Array,
     high: Array,
-    n: int,
     s: Array,
+    fixed: Mask,
     stop: bool,
-    scratch: SolverScratch,
 ) -> bool:
     """Move the free parameters to their minimum, and parameters that leave the box to its bounds.
 
     With `stop` they move on the straight line to the minimum up to the first bound. Parameters that
     reach a bound are fixed there; returns whether any did.
     """
-    free, solution, T = scratch.free, scratch.solution, scratch.T
-    # The factor of the free parameters, without those that depend on others.
-    for k in range(n):
-        if free[k] == DEPENDENT:
-            free[k] = 1.0
-    count = factor_of_free(R, q, scale, n, s, scratch)
-    while not independent(n, count, scratch):
-        count = factor_of_free(R, q, scale, n, s, scratch)
+    # The factor of the free parameters. Without the first one that depends on others it must be
+    # computed again: the column of that one has only rounding left, but uses a row of the factor.
+    is_free = ~fixed
+    free, T = factor_of(is_free, R, q, scale, s)
+    while (out := dependent(T)).size:
+        is_free[free[out[0]]] = False
+        free, T = factor_of(is_free, R, q, scale, s)
     # Their minimum, by back substitution.
-    for j in range(count - 1, -1, -1):
-        right = -T[j, count]
-        for other in range(j + 1, count):
-            right -= T[j, other] * solution[other]
-        solution[j] = right / T[j, j]
-    # Share of the step up to the first bound.
-    share, j = 1.0, 0
-    for k in range(n):
-        if free[k] == 1.0:
-            bound = min(max(solution[j], low[k]), high[k])
-            if stop and bound != solution[j]:
-                share = min(share, (bound - s[k]) / (solution[j] - s[k]))
-            j += 1
-    # Make the step, and fix parameters that reach a bound.
-    fixed, j = False, 0
-    for k in range(n):
-        if free[k] == 1.0:
-            bound = min(max(solution[j], low[k]), high[k])
-            if bound != solution[j] and (
-                not stop or (bound - s[k]) / (solution[j] - s[k]) <= share
-            ):
-                s[k], free[k], fixed = bound, 0.0, True
-            elif share < 1.0:
-                s[k] = min(max(s[k] + share * (solution[j] - s[k]), low[k]), high[k])
-            else:
-                s[k] = solution[j]
-            j += 1
-    return fixed
+    to = np.empty(free.size)
+    for j in range(free.size - 1, -1, -1):
+        right = -T[j, -1]
+        for k in range(j + 1, free.size):
+            right -= T[j, k] * to[k]
+        to[j] = right / T[j, j]
+    # Make the step, up to the first bound with `stop`, and fix parameters that reach a bound.
+    at, bounds = s[free], between(low[free], to, high[free])
+    reaches, share = bounds != to, 1.0
+    if stop:
+        shares = np.where(reaches, (bounds - at) / np.where(reaches, to - at, 1.0), np.inf)
+        share = float(np.fmin.reduce(shares, initial=share))
+        reaches &= shares <= share
+    if share < 1.0:
+        to = between(low[free], at + share * (to - at), high[free])
+    s[free] = np.where(reaches, bounds, to)
+    fixed[free[reaches]] = True
+    return bool(reaches.any())

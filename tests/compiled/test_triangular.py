@@ -10,7 +10,6 @@ from scipy.optimize import lsq_linear
 from miho.compiled import factors
 from miho.compiled.factors import fold, solve_in_box
 from miho.compiled.triangular import square_sum
-from miho.compiled.workspace import SolverScratch
 from miho.core import machine
 
 Array = NDArray[np.float64]
@@ -129,10 +128,7 @@ def test_the_solution_in_a_box_is_scipys(kind: str) -> None:
         n = len(low)
         T = factor(np.column_stack([A, r]), [len(r)])
         s = np.full(n, np.nan)
-        scratch = SolverScratch(
-            *(np.full(shape, np.nan) for shape in (n, n, (n + 1, 2 * n), (n + 1, n + 1)))
-        )
-        solve_in_box(T, T[:, n].copy(), scale, low, high, n, s, scratch)
+        solve_in_box(T, T[:, n].copy(), scale, low, high, s)
         assert ((low <= s) & (s <= high)).all()
 
         M, right = np.vstack([A, np.diag(scale)]), np.append(-r, np.zeros(n))
@@ -152,7 +148,6 @@ def test_what_the_rows_do_not_tell_stays_where_it_is() -> None:
     a, b, r = rng.standard_normal((3, 40))
     rows = np.column_stack([a, np.zeros(40), 0.3 * a, b, r])
     T, s = factor(rows, [40]), np.empty(4)
-    scratch = SolverScratch(np.empty(4), np.empty(4), np.empty((5, 8)), np.empty((5, 5)))
-    solve_in_box(T, T[:, 4].copy(), np.zeros(4), np.full(4, -9.0), np.full(4, 9.0), 4, s, scratch)
+    solve_in_box(T, T[:, 4].copy(), np.zeros(4), np.full(4, -9.0), np.full(4, 9.0), s)
     assert s[1] == s[2] == 0.0
     np.testing.assert_allclose(s[[0, 3]], np.linalg.lstsq(rows[:, [0, 3]], -r)[0], rtol=1e-12)
