@@ -30,7 +30,6 @@ UNUSED = (
     "miho.analysis",
     "miho.compiled.gauss_newton_bracket",
     "miho.compiled.triangular",
-    "miho.compiled.workspace",
     "miho.fitting.expensive_fit",
     "miho.fitting.named",
     "miho.fitting.printed_fit",

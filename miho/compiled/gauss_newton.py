@@ -9,6 +9,7 @@ C with them. A run that stops between two evaluations resumes without a differen
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +31,6 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.phases import CHUNK
 from miho.compiled.triangular import between, in_order, norm
-from miho.compiled.workspace import Work
 from miho.quantities import Array
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
@@ -59,6 +59,28 @@ RESTART_DAMPING = 1e-6
 """Smallest damping after a failed step."""
 SMALLEST_SCALE = 1e-10
 """Smallest scale relative to the largest, for parameters without effect on the residuals."""
+
+
+class Work(NamedTuple):
+    """Work arrays for the steps of one candidate with d parameters, m rows and some levels.
+
+    theta, step (d,): the configuration in units, and a step. sums (levels,): sums of squares.
+    T (d + 1, d + 1): a triangular factor. chunk (d + 1, CHUNK): columns to fold into T.
+    residuals (m,): values from the problem.
+    """
+
+    theta: Array
+    step: Array
+    sums: Array
+    T: Array
+    chunk: Array
+    residuals: Array
+
+    @classmethod
+    def of(cls, d: int, m: int, levels: int) -> Work:
+        """New work arrays."""
+        n, zeros = d + 1, np.zeros
+        return cls(zeros(d), zeros(d), zeros(levels), zeros((n, n)), zeros((n, CHUNK)), zeros(m))
 
 
 def to_units(x: Array, box: GNBox, theta: Array) -> None:

@@ -1,4 +1,4 @@
-"""Values of a formula on the machine of `miho.core`."""
+"""Values of a formula, and mutation steps on its loss, on the machine of `miho.core`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.kernel import Climb, Rows
+from miho.compiled.kernel import INFINITE, NAN, Block, Climb, Rows, Steps
 from miho.core import Tape, machine
 from miho.quantities import Array
 
@@ -52,10 +52,25 @@ class TapedLoss:
 
     @cached_property
     def climb(self) -> Climb:
-        """Mutation steps on the loss."""
-        from miho.compiled.climb import climb_on
+        """Mutation steps on the loss, many per call."""
+        tape, (X, y) = self.value, self.ordered
 
-        return climb_on(self.value, *self.ordered)
+        def climb(steps: Steps, best: float, target: float) -> Block:
+            n, d = steps.P.shape
+            most = (len(steps.noise) + 1) * n
+            at, losses, thetas = np.empty(most, np.int64), np.empty(most), np.empty((most, d))
+            count, improvements, nans, infinities = machine().climb(
+                tape.in_machine, X, y, FIRST_BLOCK, steps, best, target, at, losses, thetas
+            )
+            return Block(
+                count * n,
+                at[:improvements].astype(float),
+                losses[:improvements],
+                thetas[:improvements],
+                {NAN: nans, INFINITE: infinities},
+            )
+
+        return climb
 
     @cached_property
     def rows(self) -> Rows:

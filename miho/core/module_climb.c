@@ -58,7 +58,7 @@ static int take(arrays *all, PyObject *const *a, const tape *t, measurements *m,
 const char climb_doc[] =
     "climb(tape, X (p, N), y (N,), first, steps, best, target, at, losses, thetas): make steps of "
     "mutation, list improvements; returns the numbers of steps, improvements, and losses that are "
-    "NaN and infinite. See miho.compiled.climb.";
+    "NaN and infinite. See miho.compiled.taped.";
 PyObject *py_climb(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 10) return PyErr_Format(PyExc_TypeError, "climb takes 10 arguments");
     const tape *t = PyCapsule_GetPointer(a[0], "tape");

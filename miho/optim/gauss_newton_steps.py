@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from miho.compiled.gauss_newton import (
+    Work,
     after_evaluation,
     is_free,
     prepare,
@@ -33,7 +34,6 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
 )
 from miho.compiled.triangular import square_sum
-from miho.compiled.workspace import Work
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle

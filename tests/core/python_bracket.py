@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.gauss_newton import (
+    Work,
     after_evaluation,
     is_free,
     prepare,
@@ -36,7 +37,6 @@ from miho.compiled.gauss_newton_candidates import (
 from miho.compiled.kernel import Rows
 from miho.compiled.phases import CHUNK, FINISHED, PAUSED, REACHED
 from miho.compiled.triangular import fold, square_sum
-from miho.compiled.workspace import Work
 from miho.core import machine
 from miho.quantities import Array, Integers
 

@@ -4,7 +4,6 @@ import importlib.metadata
 import os
 import stat
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,12 +15,10 @@ pytest.importorskip("distributed", reason="the extra cluster is not installed")
 
 from miho.parallel.cluster import ClusterError, check_address, cluster, is_address, places
 from miho.parallel.cluster_workers import ClusterWorkers
-from miho.parallel.workers import JobOutcome
 from tests.faults.commands import alive
 from tests.parallel.dask_commands import DaskCommands, wait_until
 from tests.parallel.dask_jobs import hang, misbehave_there
-
-WAIT = 120.0
+from tests.parallel.test_workers import WAIT, all_of
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +26,6 @@ def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCommands]
     commands = DaskCommands.started(tmp_path_factory.mktemp("dask"), 2)
     yield commands
     commands.close()
-
-
-def all_of(jobs: list[str], workers: ClusterWorkers[str, str]) -> dict[str, JobOutcome[str, str]]:
-    ended: dict[str, JobOutcome[str, str]] = {}
-    todo, until = list(jobs), time.monotonic() + WAIT
-    while (todo or workers.busy) and time.monotonic() < until:
-        while todo and workers.idle:
-            workers.start(todo.pop(0))
-        ended |= {outcome.job: outcome for outcome in workers.wait(1)}
-    return ended
 
 
 def test_addresses() -> None:

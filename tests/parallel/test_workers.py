@@ -1,5 +1,7 @@
 """Whatever a job does to its process, the others are done and the reason is told."""
 
+from __future__ import annotations
+
 import math
 import multiprocessing
 import os
@@ -8,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 
@@ -18,12 +20,18 @@ from miho.parallel.worker_process import INTERRUPTED
 from miho.parallel.workers import JobOutcome, Workers
 from tests.faults.misbehaviour import misbehave, spoil
 
+if TYPE_CHECKING:
+    from miho.parallel.cluster_workers import ClusterWorkers
+
 Result = TypeVar("Result")
-WAIT = 60.0
+WAIT = 120.0
 MODULES = ("tests.faults.misbehaviour",)
 
 
-def all_of(jobs: list[str], workers: Workers[str, Result]) -> dict[str, JobOutcome[str, Result]]:
+def all_of(
+    jobs: list[str], workers: Workers[str, Result] | ClusterWorkers[str, Result]
+) -> dict[str, JobOutcome[str, Result]]:
+    """Outcomes of the jobs, of which each begins as soon as a worker is idle."""
     ended: dict[str, JobOutcome[str, Result]] = {}
     todo, until = list(jobs), time.monotonic() + WAIT
     while (todo or workers.busy) and time.monotonic() < until:
