@@ -31,6 +31,7 @@ MOVED = {
     "miho.driving": "miho.vehicle.driving",
     "miho.data.units": "miho.units",
     "miho.vehicle.data.synthetic_play": "miho.vehicle.data.synthetic_brake",
+    "miho.vehicle.driving.inverse_powertrain": "miho.vehicle.driving.speed_control",
     "miho.vehicle.driving.multi_body": "tests.vehicle.driving.multi_body",
     "miho.vehicle.driving.MultiBody": "tests.vehicle.driving.multi_body.MultiBody",
     "miho.vehicle.models.tire_fit": "miho.vehicle.models.tire_formula",

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from miho.vehicle.driving.inverse_powertrain import effort
 from miho.vehicle.driving.plant_parameters import engine_of, record_of
+from miho.vehicle.driving.speed_control import effort
 from tests.vehicle.driving.cars import car
 
 CAR = car()
