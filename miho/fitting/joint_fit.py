@@ -129,7 +129,8 @@ def fit_joint(
     start, fixed = by_label("start", start), by_label("fixed", fixed)
     tied = by_label("tied", tied)
     if start is not None and not (method is None and budget is None):  # else the search checks
-        from miho.fitting.named import check_budget, method_of
+        from miho.fitting.named import method_of
+        from miho.optim.meter import check_budget
 
         method = None if method is None else method_of(method)
         check_budget(budget)

@@ -10,7 +10,7 @@ import numpy as np
 
 from miho.identification.loss import Loss, Square
 from miho.identification.robust_loss import Cauchy, Huber
-from miho.optim import Budget, Optimizer
+from miho.optim import Optimizer
 
 METHODS = {
     "cluster_gauss_newton": "ClusterGaussNewton",
@@ -80,15 +80,6 @@ def loss_of(loss: Loss | str | None, sigma: object = None) -> Loss:
     if not np.all(np.asarray(sigma, dtype=float) > 0):
         raise ValueError("sigma is 0 or below in some row; expected numbers above 0")
     return kind(factor / math.sqrt(float(np.mean(1 / np.asarray(sigma, dtype=float) ** 2))))
-
-
-def check_budget(budget: object) -> None:
-    """Raise ValueError unless `budget` is a Budget or None."""
-    if not isinstance(budget, Budget | None):
-        raise ValueError(
-            f"budget is {budget!r}; expected a Budget, for example miho.Budget(evaluations=1000) "
-            "or miho.Budget(seconds=60)"
-        )
 
 
 def _choices(name: object, names: Iterable[str]) -> str:

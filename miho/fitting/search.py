@@ -61,7 +61,8 @@ def searched(
     and ValueError if no finite value was found.
     """
     if not (method is None and budget is None):
-        from miho.fitting.named import check_budget, method_of
+        from miho.fitting.named import method_of
+        from miho.optim.meter import check_budget
 
         method = None if method is None else method_of(method)
         check_budget(budget)

@@ -213,9 +213,11 @@ class Space:
     radial: RadialMap | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parameters", tuple(self.parameters))
-        if not self.parameters:
-            raise ValueError("space: expected at least one parameter, got none; add one")
+        given = tuple(self.parameters) if isinstance(self.parameters, Iterable) else ()
+        if {*map(type, given)} != {Parameter}:
+            one = "at least one parameter, for example miho.Parameter('a', 'V', 0, 5)"
+            raise ValueError(f"space: expected {one}; got {self.parameters}")
+        object.__setattr__(self, "parameters", given)
         if len(set(self.names)) != len(self.names):
             raise ValueError(f"parameter names must differ; got {', '.join(self.names)}")
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,6 +147,37 @@ def test_a_failing_method_is_an_outcome_with_its_traceback() -> None:
     assert record.outcome is Outcome.FAILED
     assert record.evaluations == 10
     assert "a bug in the method" in (record.error or "")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"optimizer": "miho_qn"}, r"optimizer is 'miho_qn'; expected a method, .* miho\.MIHOGN"),
+        ({"optimizer": MIHO}, r"optimizer is the class MIHO; write MIHO\(\)"),
+        ({"problem": abs}, "problem is <built-in function abs>.* miho.fit takes a function"),
+        ({"problem": DecayFit}, "problem is the class DecayFit"),
+        ({"budget": 200}, "budget is 200; expected a Budget"),
+        ({"seed": 1.5}, "seed is 1.5; expected a whole number"),
+    ],
+)
+def test_a_wrong_argument_is_refused(changed: dict[str, Any], message: str) -> None:
+    arguments: dict[str, Any] = {"optimizer": RandomSearch(), "problem": DecayFit(), **changed}
+    with pytest.raises(ValueError, match=message):
+        minimize(**arguments)
+
+
+def test_a_problem_without_a_space_is_refused() -> None:
+    problem = DecayFit()
+    problem.space = {"a": (0, 1)}  # type: ignore[assignment]
+    with pytest.raises(ValueError, match=r"space of the problem is .* expected a miho\.Space"):
+        minimize(RandomSearch(), problem)
+
+
+def test_a_seed_may_be_a_number_of_numpy() -> None:
+    seed: Any = np.int64(3)
+    budget = Budget(evaluations=20)
+    plain = minimize(RandomSearch(), DecayFit(), budget, seed=3)
+    assert minimize(RandomSearch(), DecayFit(), budget, seed=seed).loss == plain.loss
 
 
 def test_the_record_is_the_end_of_the_trace() -> None:

@@ -81,5 +81,7 @@ def test_bad_parameters(settings: dict[str, object], message: str) -> None:
 def test_bad_spaces() -> None:
     with pytest.raises(ValueError, match="at least one parameter"):
         Space(())
+    with pytest.raises(ValueError, match=r"at least one parameter.* got \[\('a', 0, 1\)\]"):
+        Space([("a", 0, 1)])  # type: ignore[arg-type, list-item]
     with pytest.raises(ValueError, match="must differ"):
         Space((Parameter("a", "V", 0, 1), Parameter("a", "V", 0, 1)))
