@@ -71,20 +71,7 @@ def data_of(
         raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
     output = y if isinstance(y, str) else _label(y)
     values = _column_of(x, "y", y)
-    if isinstance(model, type) and issubclass(model, Model):
-        raise ValueError(
-            f"model is the class {model.__name__}; expected an object, for example "
-            f"{model.__name__}()"
-        )
-    if not isinstance(model, Model):
-        if not callable(model):
-            _check_no_template(model)
-            raise ValueError(
-                f"model is of type {type(model).__name__}; expected a function; the order of the "
-                "arguments is model, x, y, bounds"
-            )
-        names = {name for each in stated for name in _names(each)}
-        model = FunctionModel(model, columns=_column_names(model, x, names))
+    model = model_of(model, x, stated)
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
     values = numbers_in(output, values)
@@ -110,6 +97,25 @@ def data_of(
         columns[name], units[name], sigma = numbers_in(name, sigma), unit, name
     columns = _complete(model.name or "data", columns, missing)
     return Dataset(model.name or "data", columns, units, output), model, sigma
+
+
+def model_of(model: Any, x: Any, stated: Stated = ()) -> Model:
+    """A model, or the model of a function of the columns x; raises ValueError for anything else."""
+    if isinstance(model, type) and issubclass(model, Model):
+        raise ValueError(
+            f"model is the class {model.__name__}; expected an object, for example "
+            f"{model.__name__}()"
+        )
+    if not isinstance(model, Model):
+        if not callable(model):
+            _check_no_template(model)
+            raise ValueError(
+                f"model is of type {type(model).__name__}; expected a function; the order of the "
+                "arguments is model, x, y, bounds"
+            )
+        names = {name for each in stated for name in _names(each)}
+        return FunctionModel(model, columns=_column_names(model, x, names))
+    return model
 
 
 def _check_no_template(model: object) -> None:
@@ -246,6 +252,8 @@ def numbers_in(name: str, values: Any, axes: int = 1) -> NDArray[np.float64]:
 
     `axes` is the largest number of its axes.
     """
+    if axes > 1 and isinstance(values, Sequence) and any(map(np.ma.is_masked, values)):
+        values = np.ma.array(values)
     array = np.asarray(values)
     if array.dtype.kind in "cmM" or array.ndim > axes:
         raise _refused(name, values)

@@ -69,7 +69,7 @@ class Rows:
         if isinstance(y, str):
             raise ValueError(f"y is {y!r}; expected by= as well, the column that names the dataset")
         try:
-            y = np.asanyarray(y)
+            np.shape(y)
         except ValueError:  # of lists with different lengths
             raise ValueError(
                 f"y: expected an array of numbers (datasets, rows), {OTHERWISE}"
@@ -143,10 +143,11 @@ class Datasets:
         for values in (y, *X):
             bad = ~np.isfinite(values)
             if bad.any():
-                k = np.searchsorted(ends, np.flatnonzero(bad)[0], side="right") - 1
-                name = k if index is None else index[k]
+                at = np.flatnonzero(bad)[0]
+                k = np.searchsorted(ends, at, side="right") - 1
                 raise ValueError(
-                    f"dataset {name}: a value is not finite; remove its row, or its dataset"
+                    f"dataset {k if index is None else index[k]}: a number is missing or infinite "
+                    f"in row {at - ends[k] + 1}; remove this row, or the dataset"
                 )
         X, y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
         return cls(X, y, np.ascontiguousarray(ends, dtype=np.int64), bool(shared), index)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import by_label, data_of, space_of
+from miho.fitting.arguments import by_label, data_of, model_of, space_of
 from miho.fitting.datasets import Groups, Rows
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
@@ -113,11 +113,13 @@ def fit_many(
     parts = Rows(x, y) if by is None else Groups(x, y, by)
     stated = convention, ranges, (space, tied, start, fixed)
 
-    def dataset(k: int, model: Any) -> tuple[Dataset, Model]:
-        x, y = parts.part(k)
-        return data_of(model, x, y, None, "raise", *stated)[:2]
+    chosen = model_of(model, parts.part(0)[0], stated[-1])
+    datasets = parts.of(chosen).in_signs_of(chosen, *stated)
 
-    first, chosen = dataset(0, model)
+    def dataset(k: int) -> Dataset:
+        x, y = parts.part(k)
+        return data_of(chosen, x, y, None, "raise", *stated)[0]
+
     starts = None if start is None else {name: np.ravel(value) for name, value in start.items()}
     middle = (
         None
@@ -127,7 +129,7 @@ def fit_many(
         }
     )
     bounds = constrained(space_of(chosen, space, middle, fixed or {}, tied or {}), constraints)
-    problem = CurveFit(chosen, first, bounds, compiled=False)
+    problem = CurveFit(chosen, dataset(0), bounds, compiled=False)
     taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
     clash = sorted(taken.intersection(bounds.names))
     if clash:
@@ -136,11 +138,10 @@ def fit_many(
         )
     if any(parameter.prior is not None for parameter in bounds.parameters):
         raise ValueError("priors: fit_many does not support them; remove them, or use miho.fit")
-    datasets = parts.of(chosen).in_signs_of(chosen, *stated)
     thetas = None if starts is None else starts_of(problem, starts, len(datasets))
 
     def search(k: int) -> Array:
-        own = CurveFit(chosen, dataset(k, chosen)[0], bounds, compiled=False)
+        own = CurveFit(chosen, dataset(k), bounds, compiled=False)
         return searched(own, seed=seed).theta
 
     fits = MachineFits.of(problem.model, problem.space, datasets)
