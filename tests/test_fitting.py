@@ -260,10 +260,11 @@ def test_a_dataset_gives_the_unit_of_sigma_and_none_of_an_array() -> None:
     columns = {"t": t, "V": y, "s": np.full(t.size, 0.1), "y": t}
     units = {"t": "s", "V": "A", "s": "mA", "y": "m"}
     data = miho.Dataset("cells", columns, units, "V")
-    with pytest.raises(
-        ValueError, match=r"^sigma: .* has unit 'mA'; expected 'A', the unit of 'V'"
-    ):
+    refused = "sigma has the unit 'mA'; expected 'A', the unit of 'V'"
+    with pytest.raises(ValueError, match=rf"^{refused}"):
         miho.fit(decay, data, "V", BOX, sigma="s")
+    with pytest.raises(ValueError, match=rf"^p: {refused}"):
+        miho.fit_joint({"p": (decay, data, "V", "s"), "q": (decay, data, "V")}, BOX)
     same = miho.Dataset("cells", columns, {**units, "s": "A"}, "V")
     assert miho.fit(decay, same, "V", BOX, sigma="s").problem.scale == pytest.approx(0.1)
     assert miho.fit(decay, data, y, BOX).problem.unit == ""

@@ -309,8 +309,9 @@ def deviations(name: str, part: Measured) -> Array:
     if isinstance(sigma, str):
         unit, needed = dataset.units.get(sigma, ""), dataset.units[dataset.output]
         if differ(unit, needed):
+            label = "sigma" if sigma == "sigma" else f"sigma {sigma!r}"
             raise ValueError(
-                f"{name}: sigma {sigma!r} has the unit {unit!r}; expected {needed!r}, the unit of "
+                f"{name}: {label} has the unit {unit!r}; expected {needed!r}, the unit of "
                 f"{dataset.output!r}"
             )
         values = dataset[sigma]

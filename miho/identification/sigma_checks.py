@@ -30,10 +30,11 @@ def check_sigma(problem: CurveFit) -> None:
             f"sigma is {sigma!r}, an input or the output of the model; name a column of standard "
             "deviations"
         )
+    label = "sigma" if sigma == "sigma" else f"sigma: column {sigma!r}"
     if differ(dataset.units[sigma], problem.unit):
         raise ValueError(
-            f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected "
-            f"{problem.unit!r}, the unit of {dataset.output!r}"
+            f"{label} has the unit {dataset.units[sigma]!r}; expected {problem.unit!r}, the unit "
+            f"of {dataset.output!r}"
         )
     beyond = (column < SMALLEST) | (column > LARGEST)
     for wrong, expected in (
@@ -43,7 +44,7 @@ def check_sigma(problem: CurveFit) -> None:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise ValueError(
-                f"sigma: column {sigma!r} is {column[row]:g} in row {row + 1} of {dataset.name}; "
+                f"{label} is {column[row]:g} in row {row + 1} of {dataset.name}; "
                 f"expected {expected}"
             )
 
