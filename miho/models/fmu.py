@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -48,9 +48,10 @@ class FmuModel(Remade, ExternalModel):
     """Outputs of an FMU (co-simulation or model exchange; FMI 2, others untested) over time.
 
     The FMU is unzipped and instantiated once, and reset between simulations. A simulation that
-    fails or takes too long gives NaN, and output that the FMU prints is discarded. The binary of
-    the FMU runs in this process without a sandbox: if it crashes, the process ends. Use FMUs from
-    trusted sources only.
+    fails or takes too long gives NaN, or raises ValueError with the reason if no simulation of this
+    model has succeeded yet. Output that the FMU prints is discarded. The binary of the FMU runs in
+    this process without a sandbox: if it crashes, the process ends. Use FMUs from trusted sources
+    only.
 
     Parameters
     ----------
@@ -110,6 +111,7 @@ class FmuModel(Remade, ExternalModel):
     step: float = 1e-3
     time: str = "t"
     units: Mapping[str, str] = field(default_factory=dict)
+    _succeeded: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         whole("substeps", self.substeps, 1)
@@ -232,18 +234,26 @@ class FmuModel(Remade, ExternalModel):
         if course.t.size < 2:
             raise ValueError(f"{self.name}: expected rows at two different times or more, got one")
         out = np.full((len(thetas), inputs[0].size), np.nan)
+        reasons = list[str]()
         for theta, values in zip(thetas, out, strict=True):
             result = self._simulated(theta, course.t, course.u.T)
-            for k, name in enumerate(self.outputs if result is not None else ()):
+            if isinstance(result, str):
+                reasons.append(result)
+                continue
+            object.__setattr__(self, "_succeeded", True)
+            for k, name in enumerate(self.outputs):
                 rows = course.output == k
                 values[rows] = np.interp(columns[self.time][rows], result["time"], result[name])
                 values[rows] /= self.scales[k] if self.scales else 1.0
+        if reasons and not self._succeeded:
+            raise ValueError(f"{self.name}: {reasons[0]}")
         return out
 
     def _simulated(self, theta: Array, t: Array, u: Array) -> Any:
         """Return FMPy's table of the outputs at all steps over the times t (N,).
 
-        Inputs u (q, N) are linear between the times. The result is None if the simulation fails.
+        Inputs u (q, N) are linear between the times. If the simulation fails, the result is the
+        reason.
         """
         interval = float(np.median(np.diff(t))) / self.substeps
         end = t[0] + interval * np.ceil((t[-1] - t[0]) / interval - ROUNDING)
@@ -272,8 +282,11 @@ class FmuModel(Remade, ExternalModel):
             raise
         except Exception as error:  # noqa: BLE001 -- FMPy raises any, also Exception itself
             simulation.failed(error)
-            return None
-        return result if result["time"][-1] >= end - interval / 2 else None
+            return " ".join(f"{type(error).__name__}: {error}".split())
+        if result["time"][-1] < end - interval / 2:
+            at = f"{self.time} = {result['time'][-1]:g}, before {end:g}"
+            return f"the simulation stopped at {at}; its limit is {self.seconds:g} s"
+        return result
 
     def remarks(self, theta: Array, noise: float | Array, *inputs: Array) -> list[str]:
         """Return a sentence if a halved step would change parameters noticeably."""

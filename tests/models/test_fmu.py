@@ -128,6 +128,9 @@ def test_a_simulation_that_fails_has_no_value(fmu: Callable[..., str]) -> None:
         bad = [[-1.0, C, START], [2e6, C, START]] + [[K, -200.0, START]] * (
             interface == CO_SIMULATION
         )
+        reason = r"stopped at t = .*; its limit is 0.2 s" if bad[2:] else r"GetDerivatives failed"
+        with pytest.raises(ValueError, match=reason):  # nothing has succeeded yet
+            model.predict(np.array(bad[-1:]), T)
         values = model.predict(np.array([*bad, [K, C, START]]), T)
         assert np.isnan(values[:-1]).all(), interface
         np.testing.assert_allclose(values[-1], free_swing(K, C, START, T), atol=3e-6)
