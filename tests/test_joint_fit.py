@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -446,3 +447,30 @@ def test_a_unit_that_one_part_does_not_know_is_that_of_another_part() -> None:
     assert miho.fit_joint(spelled, {"f": (0, 5)}).parameters["unit"].tolist() == ["1/s"]
     with pytest.raises(ValueError, match="f has the unit 'Hz' in b and 'kg' in c"):
         miho.fit_joint({"a": part_in(""), "b": part_in("Hz"), "c": part_in("kg")}, {"f": (0, 5)})
+
+
+@pytest.mark.parametrize(("loss", "factor"), [("huber", 1.345), ("cauchy", 2.385)])
+def test_a_robust_loss_of_all_parts_is_scipys(loss: str, factor: float) -> None:
+    """Optima of both programs agree to the tolerance of SciPy's descent."""
+    rng = np.random.default_rng(0)
+    t = np.linspace(0, 2, 60)
+    y = 2 * np.exp(-1.5 * t) + rng.normal(0, 0.02, 60)
+    z = 3000 * t + rng.normal(0, 10, 60)
+    y[::9] += 1
+    z[::11] -= 600
+    parts: dict[str, tuple[Any, ...]] = {
+        "p": (lambda t, a, b: a * np.exp(-b * t), t, y, 0.02),
+        "q": (lambda t, a, b: 1000 * a * b * t, t, z, 10.0),
+    }
+    box = {"a": (0, 5), "b": (0, 10)}
+
+    def residuals(p: np.ndarray) -> np.ndarray:
+        return np.concatenate([(f(t, *p) - v) / s for f, t, v, s in parts.values()])
+
+    expected = scipy.optimize.least_squares(
+        residuals, [2, 1.5], loss=loss, f_scale=factor, xtol=1e-12
+    ).x
+    assert miho.fit_joint(parts, box, loss=loss).theta == pytest.approx(expected, rel=1e-5)
+    parts["p"] = parts["p"][:3]
+    with pytest.raises(ValueError, match="p: lacks sigma, which a robust loss needs"):
+        miho.fit_joint(parts, box, loss=loss)

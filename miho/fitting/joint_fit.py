@@ -18,6 +18,7 @@ from miho.fitting.search import searched
 from miho.fitting.signs import largest_values
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
+from miho.identification.loss import Loss
 from miho.identification.stated import stated_parameters
 from miho.identification.uncertainty import Linearised
 from miho.models.joint import parts_of
@@ -63,6 +64,7 @@ def fit_joint(
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
+    loss: Loss | str | None = None,
     method: Optimizer | str | None = None,
     budget: Budget | None = None,
     seed: int = 0,
@@ -90,9 +92,12 @@ def fit_joint(
         Parameters with a separate value in each part. The value of parameter NAME in part PART has
         the name NAME_PART. It has the bounds, the start or the fixed value of NAME unless NAME_PART
         has its own.
-    missing, fixed, tied, constraints, method, budget, seed, compiled : optional
+    missing, fixed, tied, constraints : optional
         As in `miho.fit`.
-    workers, evaluation_limit, journal : optional
+    loss : Loss or str, optional
+        Loss of a residual, as in `miho.fit`. A robust loss needs the sigma of all parts, and its
+        scale is for errors weighted by sigma with a mean weight of 1; "huber" and "cauchy" set it.
+    method, budget, seed, compiled, workers, evaluation_limit, journal : optional
         As in `miho.fit`.
 
     Returns
@@ -142,10 +147,11 @@ def fit_joint(
         measured[name] = _measured(name, fields, missing, largest | own)
     joint = Joint(measured, local)
     start = None if start is None else joint.with_local(start)
+    rho = joint.rho(loss)
     bounds = joint.space(space or {}, fixed, tied, constraints, start)
     plain = bounds.without_priors if joint.lacking else bounds  # priors need sigma
     problem = as_begun(
-        lambda expensive: joint.problem(plain, compiled=compiled, expensive=expensive),
+        lambda expensive: joint.problem(plain, rho=rho, compiled=compiled, expensive=expensive),
         journal,
         evaluation_limit,
     )

@@ -156,6 +156,14 @@ class Joint:
         whole = space_of(self.model, self.with_local(bounds), start, fixed, tied or {})
         return constrained(whole, constraints)
 
+    def rho(self, loss: Loss | str | None) -> Loss:
+        """A loss, possibly by name; raises ValueError for a robust one if a part lacks sigma."""
+        from miho.fitting.named import loss_of
+
+        rho = loss_of(loss, self.dataset[SIGMA])
+        self._check_scale(rho)
+        return rho
+
     def problem(self, space: Space, **settings: Any) -> CurveFit:
         """The problem within a space of all parameters; `settings` go to `CurveFit`."""
         model = self._traced(space, settings.get("expensive", False))
@@ -211,7 +219,8 @@ class Joint:
         """
         if not self.lacking:
             return self.problem(space, **settings)
-        self._check_estimable(settings.get("rho"))
+        self._check_scale(settings.get("rho"))
+        self._check_estimable()
         joint = self
         if space.has_priors:
             plain = self.complete(space.without_priors, solve, evaluations, **settings)
@@ -251,11 +260,13 @@ class Joint:
         """The standard deviation of all rows, which sets the weight of priors."""
         return float(1 / np.sqrt(np.mean(1 / self.dataset[SIGMA] ** 2)))
 
-    def _check_estimable(self, rho: Loss | None) -> None:
+    def _check_scale(self, rho: Loss | None) -> None:
         if self.lacking and not isinstance(rho, Square | None):
             raise ValueError(
                 f"{self.lacking[0]}: lacks sigma, which a robust loss needs; give sigma"
             )
+
+    def _check_estimable(self) -> None:
         for name in self.lacking:
             rows, parameters = len(self.parts[name].dataset), len(self.parts[name].model.parameters)
             if rows <= parameters:
