@@ -426,6 +426,14 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "space.a.tied: is <function .*; expected an expression as text, such as '2 \\* b'",
     ),
     "a class": ({"model": Pacejka}, "model is the class Pacejka; expected an object, for example"),
+    "a class of functions": ({"model": dict}, "model is the class dict; expected an object"),
+    "a forgotten return": ({"model": lambda t, a, b: None}, "real numbers, got NoneType"),
+    "an array of parameters": (
+        {"model": lambda t, a, b: a[0] + t},
+        "'float' object is not subscriptable; a parameter is one number: name each",
+    ),
+    "a switch for a fixed number": ({"fixed": {"a": True}}, "fixed: a is True; expected a finite"),
+    "a switch for a journal": ({"journal": True}, "journal is True; expected a file"),
     "a model's column": (
         {"model": Pacejka(), "x": {"slip": t}},
         "x has no column alpha; expected alpha for Pacejka$",

@@ -101,7 +101,7 @@ def data_of(
 
 def model_of(model: Any, x: Any, stated: Stated = ()) -> Model:
     """A model, or the model of a function of the columns x; raises ValueError for anything else."""
-    if isinstance(model, type) and issubclass(model, Model):
+    if isinstance(model, type):
         raise ValueError(
             f"model is the class {model.__name__}; expected an object, for example "
             f"{model.__name__}()"
@@ -278,7 +278,7 @@ def _refused(name: str, values: Any) -> ValueError:
 def number_of(label: str, value: Any) -> float:
     """A finite number; raises ValueError for anything else, which `label` names."""
     try:
-        number = float(value)
+        number = math.nan if isinstance(value, bool | np.bool) else float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):

@@ -39,6 +39,8 @@ def as_begun(
     """
     if journal is None:
         return problem_of(limit is not None)
+    if not isinstance(journal, str | os.PathLike):
+        raise ValueError(f"journal is {journal!r}; expected a file, for example 'model.journal'")
     from miho.parallel import calls_of
 
     calls = calls_of(journal)

@@ -95,7 +95,9 @@ def searched(
         sys.stderr.write(f"miho: {name}: the search failed, its best is taken: {reason}\n")
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):  # possible on rows that the search did not evaluate
-        raise ValueError(f"{name}: no finite value was found on all rows; increase the budget")
+        raise ValueError(
+            f"{name}: no finite value was found on all rows; narrow the bounds or increase a budget"
+        )
     called = by_calls(problem, descent.theta[None], evaluations)
     if called is not None:
         left = _left(budget, run)

@@ -40,6 +40,7 @@ from miho.validate import is_number
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and the relative tolerance."""
+ARRAY = "; a parameter is one number: name each as an argument, as in f(x, a, b)"
 COPY = "; columns of data are read-only: copy a column before you change it, as in x = x.copy()"
 PASSED: WeakKeyDictionary[Any, set[tuple[Any, ...]]] = WeakKeyDictionary()
 """Checks that formulas of a function passed, with the bytes of configurations and columns."""
@@ -265,8 +266,9 @@ class FunctionModel(DifferencedModel):
         except Exception as error:
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
+            got = values.dtype if values.shape else type(result).__name__
             parts = "; return one part; miho.fit_joint fits both" * (values.dtype.kind == "c")
-            raise ValueError(f"{self._place}: expected real numbers, got {values.dtype}{parts}")
+            raise ValueError(f"{self._place}: expected real numbers, got {got}{parts}")
         return values
 
     @property
@@ -289,7 +291,8 @@ class FunctionModel(DifferencedModel):
         line = line_in(error, str(self.source))
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         message = " ".join(str(error).split())  # in one line
-        return f"{place} raises {type(error).__name__}: {message}{COPY * ('read-only' in message)}"
+        hint = COPY * ("read-only" in message) + ARRAY * ("'float' object is not" in message)
+        return f"{place} raises {type(error).__name__}: {message}{hint}"
 
 
 def alike(first: Array, second: Array) -> bool:
