@@ -15,6 +15,7 @@ from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
+    check_types,
     examined,
     model_of,
     with_defaults,
@@ -120,6 +121,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     expensive: InitVar[bool] = False
 
     def __post_init__(self, expensive: bool) -> None:
+        check_types(self.dataset, self.space, self.rho)
         model = model_of(self.model)
         object.__setattr__(self, "space", with_defaults(self.space, model))
         if isinstance(model, FunctionModel):

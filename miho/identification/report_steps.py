@@ -34,6 +34,7 @@ from miho.parallel import Pool, Workers, open_pool
 from miho.parallel.blocks import in_blocks
 from miho.parallel.process_executor import WorkerLostError
 from miho.quantities import Array
+from miho.validate import whole
 
 MOST_PROFILES = 10
 """Models with more parameters are profiled only on request: each end costs several refits."""
@@ -127,6 +128,7 @@ def make_report(
     """
     if not isinstance(level, float | np.floating) or not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected a number between 0 and 1, for example 0.95")
+    whole("replicates", replicates, 0)
     if replicates and problem.prior is not None:
         raise ValueError(
             f"replicates is {replicates}; expected 0 for a problem with priors, which resampled "

@@ -266,7 +266,7 @@ class FunctionModel(DifferencedModel):
         except Exception as error:
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
-            got = values.dtype if values.shape else type(result).__name__
+            got = type(result).__name__ if values.dtype == object else values.dtype
             parts = "; return one part; miho.fit_joint fits both" * (values.dtype.kind == "c")
             raise ValueError(f"{self._place}: expected real numbers, got {got}{parts}")
         return values

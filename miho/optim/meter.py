@@ -14,7 +14,7 @@ import numpy as np
 
 from miho.optim.trace import Starts, Trace
 from miho.quantities import Array
-from miho.validate import positive, whole
+from miho.validate import is_finite, positive, whole
 
 REASONS = 20
 """Largest number of reasons for rejected values that are counted separately."""
@@ -72,7 +72,7 @@ class Budget:
             whole("budget.evaluations", self.evaluations, 1)
         if self.seconds is not None:
             positive("budget.seconds", self.seconds)
-        if self.target is not None and not math.isfinite(self.target):
+        if self.target is not None and not is_finite(self.target):
             raise ValueError(f"budget.target is {self.target!r}; expected a finite loss")
 
 

@@ -48,6 +48,13 @@ def test_columns_are_copies_that_nobody_edits() -> None:
     [
         ({"x": (1.0, np.nan)}, "'x' must be one finite number per row"),
         ({"x": ((1.0, 2.0),)}, "got shape"),
+        ({"x": np.ma.array([1.0, 2.0], mask=[0, 1])}, "'x' must be .* with 1 not finite"),
+        ({"x": (1j, 2.0)}, "column 'x' is complex128; expected real numbers"),
+        (
+            {"x": np.array([1, 2], "M8[s]")},
+            r"'x' is datetime64\[s\]; expected",
+        ),
+        ({"x": ("low", "high")}, "column 'x' is <U4; expected real numbers"),
         ({"x": (1.0,)}, "differ in length"),
         ({"x": (), "y": ()}, "empty"),
         ({"output": "z"}, "output 'z' is not a column"),

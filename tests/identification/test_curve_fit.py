@@ -243,6 +243,19 @@ def test_the_space_must_fit_the_model() -> None:
         CurveFit(p.model, other, SPACE)
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dataset": {"alpha": [1.0]}}, "dataset is a dict; expected a Dataset; miho.fit takes"),
+        ({"space": {"B": (1, 2)}}, "space is a dict; expected a Space"),
+        ({"rho": "huber"}, "rho is a str; expected a Loss"),
+    ],
+)
+def test_parts_of_a_wrong_type_are_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(problem(), **changes)  # type: ignore[arg-type]
+
+
 def test_a_row_that_no_parameters_predict_is_named() -> None:
     x = np.array([1.0, 0.0, 2.0])
     with pytest.raises(ValueError, match=r"is not finite at x = 0 \(row 2 of published\)"):

@@ -383,6 +383,8 @@ def test_the_level_and_the_seed() -> None:
             ValueError, match=f"level is {level!r}; expected a number between 0 and"
         ):
             make_report(problem, theta, level=level)
+    with pytest.raises(ValueError, match="replicates is -1; expected a whole number"):
+        make_report(problem, theta, replicates=-1)
     first, again, other_seed = (
         make_report(problem, theta, replicates=5, profiles=False, seed=seed).replicates
         for seed in (0, 0, 1)

@@ -159,7 +159,7 @@ def test_results_of_another_shape_or_kind_are_refused(load: Callable[..., Model]
         "t": r"expected shape \(3, 50\).*got \(50,\).*broadcast",
         "np.sum(a * t)": r"got \(\)",
         "1j * a * t": "expected real numbers, got complex128",
-        "None": "got object",
+        "None": "got NoneType",
     }.items():
         with pytest.raises(ValueError, match=message):
             load(DECAY.replace("a * np.exp(-b * t)", result), batched=True).predict(THETAS, t)
