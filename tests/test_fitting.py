@@ -474,7 +474,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "x, y and sigma have different row labels; align them",
     ),
     "a constraint": ({"constraints": "a < c"}, "'c' uses an unknown parameter c; choose from a, b"),
-    "columns": ({"x": (t, t)}, "needs the parameters b; the space also has a|has 2"),
+    "columns": ({"x": (t, t)}, "a has bounds, but x has 2 columns, for the arguments t, a"),
 }
 
 

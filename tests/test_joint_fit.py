@@ -449,6 +449,14 @@ def test_a_unit_that_one_part_does_not_know_is_that_of_another_part() -> None:
         miho.fit_joint({"a": part_in(""), "b": part_in("Hz"), "c": part_in("kg")}, {"f": (0, 5)})
 
 
+def test_a_local_name_that_another_part_has_is_refused() -> None:
+    t = np.linspace(0, 1, 9)
+    parts = {"p": (lambda t, a, b: a + b * t, t, t), "q": (lambda t, a_p, b: a_p + b * t, t, t)}
+    box = {"a": (0, 5), "b": (0, 5), "a_p": (0, 5)}
+    with pytest.raises(ValueError, match="a_p is also a parameter of another part; rename"):
+        miho.fit_joint(parts, box, local="a")
+
+
 @pytest.mark.parametrize(("loss", "factor"), [("huber", 1.345), ("cauchy", 2.385)])
 def test_a_robust_loss_of_all_parts_is_scipys(loss: str, factor: float) -> None:
     """Optima of both programs agree to the tolerance of SciPy's descent."""

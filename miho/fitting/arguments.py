@@ -225,7 +225,14 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
             )
         return names
     free = [name for name, value in arguments.items() if value.default is value.empty]
-    return tuple(free)[: len(x) if isinstance(x, tuple) else 1]
+    names = tuple(free)[: len(x) if isinstance(x, tuple) else 1]
+    both = [name for name in names if name in parameters]
+    if both:
+        raise ValueError(
+            f"{both[0]} has bounds, but x has {len(names)} columns, for the arguments "
+            f"{', '.join(names)}; give the model an argument for each column, before the parameters"
+        )
+    return names
 
 
 def inputs_of(model: Model, x: Any) -> dict[str, Any]:

@@ -79,6 +79,11 @@ class Joint:
             if not any(name in part.model.parameters for part in self.parts.values()):
                 raise ValueError(f"local: {name} is not a parameter of any part; remove it")
         for name, part in self.parts.items():
+            for own in self._joint_names(name, part.model):
+                if own not in part.model.parameters and own in self._shared:
+                    raise ValueError(
+                        f"local: {own} is also a parameter of another part; rename part {name!r}"
+                    )
             _check_units(name, part)
         _ = self.dataset  # raises for an invalid sigma
 
@@ -91,6 +96,11 @@ class Joint:
                 for name, part in self.parts.items()
             )
         )
+
+    @cached_property
+    def _shared(self) -> set[str]:
+        """Parameters of the parts that are not local."""
+        return {p for part in self.parts.values() for p in part.model.parameters} - {*self.local}
 
     def _joint_names(self, part: str, model: Model) -> list[str]:
         return [f"{p}_{part}" if p in self.local else p for p in model.parameters]
