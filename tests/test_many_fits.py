@@ -261,6 +261,24 @@ def test_a_start_goes_with_ties_and_constraints() -> None:
         assert table[name].tolist() == pytest.approx(searched[name].tolist(), abs=1e-4)
 
 
+@pytest.mark.parametrize("lengths", [(50, 50), (50, 40)])
+def test_a_configuration_at_which_the_model_raises_has_no_value(lengths: tuple[int, int]) -> None:
+    """At rates above 4, from where only the starts are better than a step back."""
+
+    def raising(t: np.ndarray, a: float, b: float) -> np.ndarray:
+        if b > 4:
+            raise RuntimeError("too fast")
+        return a * np.exp(-b * t)
+
+    runs = [(t[:n], a * np.exp(-1.5 * t[:n])) for n, a in zip(lengths, (1, 2), strict=True)]
+    frames = [pd.DataFrame({"run": k, "t": x, "V": v}) for k, (x, v) in enumerate(runs)]
+    arguments = raising, pd.concat(frames), "V", {"a": (0, 5), "b": (0, 10)}
+    table = miho.fit_many(*arguments, by="run")
+    assert table[["a", "b"]].to_numpy() == pytest.approx(np.array([[1, 1.5], [2, 1.5]]), rel=1e-6)
+    with pytest.raises(ValueError, match="raising raises RuntimeError: too fast"):
+        miho.fit_many(*arguments[:3], {"a": (0, 5), "b": (5, 9)}, by="run", start={"a": 1, "b": 6})
+
+
 def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
     frame = pd.DataFrame({"run": 1, "t": t, "V": y[0]})
     for arguments, keywords, message in (
@@ -275,6 +293,10 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
             "start is \\[1, 1, 1\\]; give its values by name",
         ),
         ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; expected"),
+        ((decay, frame, "V", BOX), {"by": frame["run"]}, "by is a Series and y is 'V'; expected"),
+        ((decay, t, {"p": y[0]}, BOX), {}, "y is a dict; expected an array"),
+        ((decay, t, y, [(0, 5)] * 3), {}, "bounds are .*; expected them by name"),
+        ((decay, t, y, BOX), {"seed": None}, "seed is None; expected a whole number"),
         ((decay, t[:7], y, BOX), {}, "x has 7 rows and y has 50"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
         ((decay, t, np.ma.masked_greater(y, 1), BOX), {}, "a number is missing"),

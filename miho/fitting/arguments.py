@@ -38,10 +38,7 @@ MISSING = ("raise", "drop")
 
 
 def by_label(label: str, values: Any) -> Mapping[str, Any] | None:
-    """Start, fixed or tied values by name; a pandas Series becomes a mapping.
-
-    Raises ValueError for anything else.
-    """
+    """Start, fixed or tied values by name, also of a Series; raises ValueError for others."""
     if values is None or isinstance(values, Mapping):
         return values
     if hasattr(values, "to_dict") and hasattr(values, "index") and np.ndim(values) == 1:
@@ -49,6 +46,12 @@ def by_label(label: str, values: Any) -> Mapping[str, Any] | None:
     example = {"a": "2 * b"} if label == "tied" else {"a": 1}
     shown = " ".join(repr(values).split())
     raise ValueError(f"{label} is {shown}; give its values by name, as in {example}")
+
+
+def check_bounds(space: object) -> None:
+    """Raise ValueError unless bounds are given by name."""
+    if not isinstance(space, Mapping | Space | None):
+        raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
 
 
 def data_of(
@@ -259,8 +262,6 @@ def numbers_in(name: str, values: Any, axes: int = 1) -> NDArray[np.float64]:
 
     `axes` is the largest number of its axes.
     """
-    if axes > 1 and isinstance(values, Sequence) and any(map(np.ma.is_masked, values)):
-        values = np.ma.array(values)
     array = np.asarray(values)
     if array.dtype.kind in "cmM" or array.ndim > axes:
         raise _refused(name, values)

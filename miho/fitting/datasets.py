@@ -36,7 +36,8 @@ class Groups:
         named = len(names) > 1 and hasattr(frame, "groupby")
         if not named or not all(isinstance(name, str) and name in frame for name in names):
             raise ValueError(
-                f"by is {by!r} and y is {y!r}; expected the names of columns of a data frame x"
+                f"by is {_shown(by)} and y is {_shown(y)}; expected the names of columns of a data "
+                "frame x"
             )
         by = by if isinstance(by, str) else [*by]
         codes = frame.groupby(by, sort=False, dropna=False).ngroup().to_numpy()
@@ -59,6 +60,17 @@ class Groups:
         return Datasets.checked(X, y, self.ends, self.index)
 
 
+def _with_masks(values: Any) -> Any:
+    """A list of masked arrays as one array; NumPy would drop the masks."""
+    masked = isinstance(values, Sequence) and any(map(np.ma.is_masked, values))
+    return np.ma.array(values) if masked else values
+
+
+def _shown(value: object) -> str:
+    """A name, or the type of anything else."""
+    return repr(value) if isinstance(value, str | list | int) else f"a {type(value).__name__}"
+
+
 class Rows:
     """Datasets that are rows of y (M, N), over columns (N,) or (M, N) in x.
 
@@ -66,6 +78,8 @@ class Rows:
     """
 
     def __init__(self, x: Any, y: Any) -> None:
+        if isinstance(y, Mapping):
+            raise ValueError(f"y is a {type(y).__name__}; expected an array, {OTHERWISE}")
         if isinstance(y, str):
             raise ValueError(f"y is {y!r}; expected by= as well, the column that names the dataset")
         try:
@@ -74,7 +88,7 @@ class Rows:
             raise ValueError(
                 f"y: expected an array of numbers (datasets, rows), {OTHERWISE}"
             ) from None
-        self.y = numbers_in("y", y, 2)
+        self.y = numbers_in("y", _with_masks(y), 2)
         if self.y.ndim != 2 or not self.y.size:
             raise ValueError(
                 f"y has the shape {self.y.shape}; expected (datasets, rows), {OTHERWISE}"
@@ -84,7 +98,7 @@ class Rows:
         names = [*x] if self.by_name else range(len(x) if isinstance(x, tuple) else 1)
         columns = [x[name] for name in x] if self.by_name else x if isinstance(x, tuple) else (x,)
         self.columns = dict(
-            zip(names, [numbers_in("x", column, 2) for column in columns], strict=True)
+            zip(names, [numbers_in("x", _with_masks(each), 2) for each in columns], strict=True)
         )
         for column in self.columns.values():
             if column.shape[-1:] != self.y.shape[1:]:

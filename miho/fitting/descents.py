@@ -82,13 +82,28 @@ class Batch:
             with np.errstate(all="ignore"):
                 values = self.model.value(tuple(inputs), tuple(thetas.T[:, :, None]))
         elif self._alike:
-            values = self.model.predict(thetas, *self.columns[:, 0])
+            values = self._predicted(thetas, self.columns[:, 0])
         else:
             values = self._padded(
-                self.model.predict(theta[None], *part)[0]
-                for theta, part in self._own(thetas, which)
+                self._predicted(theta[None], part)[0] for theta, part in self._own(thetas, which)
             )
         return np.where(self.real[which], values - self.outputs[which], 0.0)
+
+    def _predicted(self, thetas: Array, columns: Array) -> Array:
+        """Values (n, N) of the model; NaN for each configuration at which it raises ValueError."""
+        try:
+            return self.model.predict(thetas, *columns)
+        except ValueError:
+            if len(thetas) == 1:
+                return np.full((1, columns.shape[1]), np.nan)
+            return np.concatenate([self._predicted(theta[None], columns) for theta in thetas])
+
+    def _jacobian(self, theta: Array, columns: Array) -> Array:
+        """Derivatives (N, d) of the model; NaN if it raises ValueError nearby."""
+        try:
+            return self.model.jacobian(theta, *columns)
+        except ValueError:
+            return np.full((columns.shape[1], theta.size), np.nan)
 
     @cached_property
     def _alike(self) -> bool:
@@ -119,9 +134,7 @@ class Batch:
         elif self._alike:
             J = self._differences(thetas)
         else:
-            J = self._padded(
-                self.model.jacobian(theta, *part) for theta, part in self._own(thetas, which)
-            )
+            J = self._padded(self._jacobian(*own) for own in self._own(thetas, which))
         return np.where(self.real[which][..., None], J, 0.0)
 
     def _differences(self, thetas: Array) -> Array:
@@ -131,7 +144,7 @@ class Batch:
         for k, step in enumerate((ROOT * width).T):
             moved = np.zeros_like(thetas)
             moved[:, k] = step
-            ends = (self.model.predict(thetas + s * moved, *self.columns[:, 0]) for s in (1, -1))
+            ends = (self._predicted(thetas + s * moved, self.columns[:, 0]) for s in (1, -1))
             slopes.append(np.subtract(*ends) / (2 * step)[:, None])
         return np.stack(slopes, axis=-1)
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import NEAR, by_label, data_of
+from miho.fitting.arguments import NEAR, by_label, check_bounds, data_of
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
@@ -131,6 +131,7 @@ def fit_joint(
     """
     if not isinstance(parts, Mapping):
         raise ValueError(f"parts are a {type(parts).__name__}; give them by name: {{'left': ...}}")
+    check_bounds(space)
     start, fixed = by_label("start", start), by_label("fixed", fixed)
     tied = by_label("tied", tied)
     if start is not None and not (method is None and budget is None):  # else the search checks

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import by_label, data_of, model_of, space_of
+from miho.fitting.arguments import by_label, check_bounds, data_of, model_of, space_of
 from miho.fitting.datasets import Groups, Rows
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
@@ -24,6 +24,7 @@ from miho.models.tied import Tied
 from miho.optim import Budget, Space
 from miho.optim.pace import Pace
 from miho.quantities import Array
+from miho.validate import whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,6 +109,8 @@ def fit_many(
     1  2.0  1.5       True
     2  3.0  1.5       True
     """
+    whole("seed", seed, 0)
+    check_bounds(space)
     start, fixed = by_label("start", start), by_label("fixed", fixed)
     tied = by_label("tied", tied)
     parts = Rows(x, y) if by is None else Groups(x, y, by)
@@ -158,6 +161,7 @@ def fit_many(
         batch = Batch.of(problem.model, problem.space, datasets, np.arange(len(datasets)))
         ends, covariance, counts = _by_numpy(batch, thetas, search, seed, progress)
     if not np.isfinite(ends.squares).any():
+        problem.model.predict(ends.thetas[:1], *problem.inputs)  # raises with its reason, if any
         raise ValueError(f"{title(problem)}: no finite value was found")
     table = _table(problem, datasets.rows, ends, covariance, parts.index)
     table.attrs.update(counts)
