@@ -467,7 +467,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "a row's sigma too small": ({"sigma": np.full(60, 1e-200)}, "is 1e-200 in row 1"),
     "a table for a column": (
         {"x": np.ones((60, 2))},
-        "t has the shape \\(60, 2\\); expected a column",
+        "t has the shape \\(60, 2\\); expected a column .* a grid as numpy.ravel\\(t\\)",
     ),
     "other labels": (
         {"x": pd.DataFrame({"t": t}), "y": pd.Series(y, index=range(1, 61))},

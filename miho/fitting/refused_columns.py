@@ -47,7 +47,9 @@ def no_numbers(name: str, values: Any) -> ValueError:
         return ValueError(f"x has {array.shape[1]} columns {name}; rename or drop all but one")
     if array.ndim > 1:
         single = array.size == max(array.shape)
-        remedy = f"numpy.ravel({name})" if single else "several columns as a tuple or by name"
+        remedy = f"numpy.ravel({name})"
+        if not single:
+            remedy = f"several columns as a tuple or by name, a grid as {remedy}"
         return ValueError(
             f"{name} has the shape {array.shape}; expected a column (N,); give {remedy}"
         )

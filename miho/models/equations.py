@@ -124,6 +124,7 @@ class Equations:
     def _one_each(self, result: Any) -> list[Any]:
         """Return the derivatives in a result; raises ValueError unless there is one per state."""
         rates = list(result) if isinstance(result, tuple | list | np.ndarray) else [result]
+        rates = [] if result is None else rates
         if len(rates) != len(self.states):
             raise ValueError(
                 f"{self.rhs.name}: expected one derivative for each of the states "

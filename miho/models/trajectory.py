@@ -139,6 +139,8 @@ class Trajectory(Model):
         for setting in ("outputs", "scales", "quantities"):
             object.__setattr__(self, setting, tuple(getattr(self, setting)))
         for setting in ("states", "units"):
+            if not isinstance(getattr(self, setting), Mapping):
+                raise ValueError(f"{setting} is {getattr(self, setting)!r}; give values by name")
             object.__setattr__(self, setting, dict(getattr(self, setting)))
         if not self.name:
             object.__setattr__(self, "name", self._rhs.name)

@@ -468,6 +468,8 @@ def pull(x: Any, *, k: "N/m") -> "N":  # type: ignore[name-defined]  # noqa: F82
     [
         ({"states": {"x": "guessed", "v": 0.0}}, "states.x is 'guessed'; expected a number, meas"),
         ({"states": {"x": 0.0}}, "expected one derivative for each of the states x, got 2"),
+        ({"states": ["x", "v"]}, "states is \\['x', 'v'\\]; give values by name"),
+        ({"rhs": lambda x, v, *, k: None}, "one derivative for each of the states x, v, got 0"),
         ({"outputs": ["y"]}, "outputs has 'y', which is not a state; expected one of x, v"),
         ({"outputs": []}, "expected at least one output and one state"),
         ({"outputs": ["x", pull]}, "outputs have the units -, N; give scales"),
