@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,14 @@ class Dataset:
         # Columns become read-only copies, finite and of one length, each with a unit.
         columns = {}
         for key, values in self.columns.items():
-            column = self._numbers(key, values)
+            dtype = np.asarray(values).dtype
+            if dtype.kind not in "biufO":
+                raise ValueError(
+                    f"dataset {self.name}: column {key!r} is {dtype}; expected real numbers"
+                )
+            column = np.array(values, dtype=float)
+            if np.ma.is_masked(values):
+                column[np.ma.getmaskarray(values)] = np.nan
             if column.ndim != 1 or not np.isfinite(column).all():
                 raise ValueError(
                     f"dataset {self.name}: column {key!r} must be one finite number per row; "
@@ -115,21 +122,6 @@ class Dataset:
                     f"{apart.output!r}"
                 )
         object.__setattr__(self, "columns", columns)
-
-    def _numbers(self, key: str, values: Any) -> Array:
-        """A copy of a column, NaN where it is masked; raises ValueError unless it has numbers."""
-        given = np.asarray(values)
-        try:
-            column = None if given.dtype.kind in "cmM" else given.astype(float)
-        except (TypeError, ValueError):
-            column = None
-        if column is None:
-            raise ValueError(
-                f"dataset {self.name}: column {key!r} is {given.dtype}; expected real numbers"
-            )
-        if np.ma.is_masked(values):
-            column[np.ma.getmaskarray(values)] = np.nan
-        return column
 
     def __repr__(self) -> str:
         """One line with the name, the number of rows, and the columns with their units."""

@@ -7,7 +7,7 @@ import functools
 import inspect
 import math
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,12 +46,6 @@ def by_label(label: str, values: Any) -> Mapping[str, Any] | None:
     example = {"a": "2 * b"} if label == "tied" else {"a": 1}
     shown = " ".join(repr(values).split())
     raise ValueError(f"{label} is {shown}; give its values by name, as in {example}")
-
-
-def check_bounds(space: object) -> None:
-    """Raise ValueError unless bounds are given by name."""
-    if not isinstance(space, Mapping | Space | None):
-        raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
 
 
 def data_of(
@@ -104,32 +98,14 @@ def data_of(
 
 def model_of(model: Any, x: Any, stated: Stated = ()) -> Model:
     """A model, or the model of a function of the columns x; raises ValueError for anything else."""
-    if isinstance(model, type):
-        raise ValueError(
-            f"model is the class {model.__name__}; expected an object, for example "
-            f"{model.__name__}()"
-        )
-    if not isinstance(model, Model):
-        if not callable(model):
-            _check_no_template(model)
-            raise ValueError(
-                f"model is of type {type(model).__name__}; expected a function; the order of the "
-                "arguments is model, x, y, bounds"
-            )
-        names = {name for each in stated for name in _names(each)}
-        return FunctionModel(model, columns=_column_names(model, x, names))
-    return model
+    if isinstance(model, Model):
+        return model
+    if isinstance(model, type) or not callable(model):
+        from miho.fitting.refused_columns import no_model
 
-
-def _check_no_template(model: object) -> None:
-    """Refuse an object that becomes a model only with its parameters."""
-    from miho.fitting.protocols import Template
-
-    if isinstance(model, Template):
-        raise ValueError(
-            f"the model is a {type(model).__name__}; expected its parameters as well, for example "
-            f"{model.with_parameters}"
-        )
+        raise no_model(model)
+    names = {name for each in stated for name in _names(each)}
+    return FunctionModel(model, columns=_column_names(model, x, names))
 
 
 def _names(stated: Space | Mapping[str, Any] | None) -> Sequence[str]:
@@ -203,7 +179,7 @@ def _check_alignment(x: Any, y: Any, sigma: Any) -> None:
             )
 
 
-def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[str, ...]:
+def _column_names(function: Any, x: Any, parameters: set[str]) -> tuple[str, ...]:
     """The arguments of a function that are columns.
 
     The result is empty if the function marks columns by a *. Otherwise they are the arguments with
@@ -229,12 +205,10 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
         return names
     free = [name for name, value in arguments.items() if value.default is value.empty]
     names = tuple(free)[: len(x) if isinstance(x, tuple) else 1]
-    both = [name for name in names if name in parameters]
-    if both:
-        raise ValueError(
-            f"{both[0]} has bounds, but x has {len(names)} columns, for the arguments "
-            f"{', '.join(names)}; give the model an argument for each column, before the parameters"
-        )
+    if not parameters.isdisjoint(names):
+        from miho.fitting.refused_columns import no_argument
+
+        raise no_argument(names, parameters)
     return names
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from miho.fitting.arguments import Stated, by_name, inputs_of, numbers_in, signed_model
 from miho.fitting.signs import largest_values
 from miho.models.model import Model
+from miho.optim import Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -22,6 +23,12 @@ OTHERWISE = "or a data frame as x, with the name of a column as y and as by"
 """What datasets of different lengths are given as."""
 EXTREME = 5
 """Number of datasets at either end of a measure of sizes and signs that are checked."""
+
+
+def check_bounds(space: object) -> None:
+    """Raise ValueError unless bounds are given by name."""
+    if not isinstance(space, Mapping | Space | None):
+        raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
 
 
 class Groups:

@@ -9,7 +9,8 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import NEAR, by_label, check_bounds, data_of
+from miho.fitting.arguments import NEAR, by_label, data_of
+from miho.fitting.datasets import check_bounds
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
@@ -136,7 +137,7 @@ def fit_joint(
     tied = by_label("tied", tied)
     if start is not None and not (method is None and budget is None):  # else the search checks
         from miho.fitting.named import method_of
-        from miho.optim.meter import check_budget
+        from miho.optim.refused_arguments import check_budget
 
         method = None if method is None else method_of(method)
         check_budget(budget)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.fitting.arguments import by_label, check_bounds, data_of, model_of, space_of
-from miho.fitting.datasets import Groups, Rows
+from miho.fitting.arguments import by_label, data_of, model_of, space_of
+from miho.fitting.datasets import Groups, Rows, check_bounds
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.machine_fits import MachineFits, checked
 from miho.fitting.search import searched, title

@@ -1,8 +1,8 @@
-"""Errors on columns that cannot be the data of a fit, each with its remedy."""
+"""Errors on models and columns that a fit cannot take, each with its remedy."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -20,12 +20,40 @@ COMPLEX = (
 """The call that fits complex numbers."""
 
 
+def no_model(model: object) -> ValueError:
+    """The error on an object that is neither a function nor a model."""
+    from miho.fitting.protocols import Template
+
+    name = type(model).__name__
+    if isinstance(model, type):
+        name = model.__name__
+        return ValueError(f"model is the class {name}; expected an object, for example {name}()")
+    if isinstance(model, Template):  # a model only with its parameters
+        return ValueError(
+            f"the model is a {name}; expected its parameters as well, for example "
+            f"{model.with_parameters}"
+        )
+    return ValueError(
+        f"model is of type {name}; expected a function; the order of the arguments is model, x, y, "
+        "bounds"
+    )
+
+
 def no_column(model: Model, lacking: Sequence[str]) -> ValueError:
     """The error on input columns that a model needs and the data do not have."""
     several = "; fit each output as a part of miho.fit_joint" * (OUTPUT in lacking)
     return ValueError(
         f"x has no column {', '.join(lacking)}; expected {', '.join(model.inputs)} for "
         f"{model.name or type(model).__name__}{several}"
+    )
+
+
+def no_argument(names: Sequence[str], parameters: Collection[str]) -> ValueError:
+    """The error on fewer arguments of a function than columns before its parameters."""
+    return ValueError(
+        f"{next(name for name in names if name in parameters)} has bounds, but x has {len(names)} "
+        f"columns, for the arguments {', '.join(names)}; give the model an argument for each "
+        "column, before the parameters"
     )
 
 

@@ -62,7 +62,7 @@ def searched(
     """
     if not (method is None and budget is None):
         from miho.fitting.named import method_of
-        from miho.optim.meter import check_budget
+        from miho.optim.refused_arguments import check_budget
 
         method = None if method is None else method_of(method)
         check_budget(budget)

@@ -15,7 +15,6 @@ from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
-    check_types,
     examined,
     model_of,
     with_defaults,
@@ -121,7 +120,10 @@ class CurveFit(Remade, LeastSquaresProblem):
     expensive: InitVar[bool] = False
 
     def __post_init__(self, expensive: bool) -> None:
-        check_types(self.dataset, self.space, self.rho)
+        for part, kind in ((self.dataset, Dataset), (self.space, Space), (self.rho, Loss)):
+            if not isinstance(part, kind):
+                got = f"got a {type(part).__name__}; miho.fit takes other forms too"
+                raise ValueError(f"a CurveFit needs a {kind.__name__}, {got}")
         model = model_of(self.model)
         object.__setattr__(self, "space", with_defaults(self.space, model))
         if isinstance(model, FunctionModel):

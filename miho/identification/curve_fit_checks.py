@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.identification.loss import Loss
 from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionFormula, FunctionModel
 from miho.models.model import Model, expensive_leaves
@@ -75,17 +74,6 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
             check_shapes(problem, model_name, theta)
             _check_values(problem, model_name)
     _check_nominal(problem, model_name)
-
-
-def check_types(dataset: object, space: object, rho: object) -> None:
-    """Raise ValueError for parts of other types than `CurveFit` documents."""
-    for name, value, kind in (("dataset", dataset, Dataset), ("space", space, Space),
-                              ("rho", rho, Loss)):  # fmt: skip
-        if not isinstance(value, kind):
-            raise ValueError(
-                f"{name} is a {type(value).__name__}; expected a {kind.__name__}; miho.fit takes "
-                "other forms too"
-            )
 
 
 def model_of(model: object) -> Model:

@@ -76,15 +76,6 @@ class Budget:
             raise ValueError(f"budget.target is {self.target!r}; expected a finite loss")
 
 
-def check_budget(budget: object) -> None:
-    """Raise ValueError unless `budget` is a Budget or None."""
-    if not isinstance(budget, Budget | None):
-        raise ValueError(
-            f"budget is {budget!r}; expected a Budget, for example miho.Budget(evaluations=1000) "
-            "or miho.Budget(seconds=60)"
-        )
-
-
 class Provisional(NamedTuple):
     """Best configuration `theta` (d,) of a run that has evaluated none on all rows of the data.
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted, check_budget
+from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import Problem
@@ -27,7 +27,6 @@ from miho.optim.space import Space
 from miho.optim.trace import Descents, Trace
 from miho.parallel.errors import SPURIOUS_INTERRUPT, NoWorkersLeft, StaleJournalError
 from miho.quantities import Array
-from miho.validate import whole
 
 if TYPE_CHECKING:
     from miho.optim.spread import JournalFile
@@ -197,7 +196,16 @@ def minimize(
     >>> str(record.outcome), record.theta.round(4)
     ('converged', array([1., 2.]))
     """
-    seed = _checked(optimizer, problem, budget, seed)
+    space = getattr(problem, "space", None)
+    given = optimizer, problem, space, getattr(problem, "name", None), budget, seed
+    if not all(map(isinstance, given, (Optimizer, Problem, Space, str, Budget | None, int))):
+        from miho.optim.refused_arguments import checked_seed
+
+        seed = checked_seed(*given)
+    if problem.space.free is not problem.space:
+        raise ValueError(
+            f"{problem.name}: expected free parameters only; use a CurveFit for fixed and tied ones"
+        )
     if checkpoint is not None:
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)
     space = problem.space.seeded(problem.name, seed)
@@ -234,29 +242,6 @@ def minimize(
         usage=None if evaluations is None else evaluations.usage,
         provisional=None if len(meter.trace) or early is None else early.theta,
     )
-
-
-def _checked(optimizer: object, problem: object, budget: object, seed: int) -> int:
-    """The seed as an int; raises ValueError for arguments of other types than documented."""
-    space: Any = getattr(problem, "space", None)
-    name = getattr(problem, "name", None)
-    for label, value, kind, expected in (
-        ("optimizer", optimizer, Optimizer, "a method, for example miho.MIHOGN()"),
-        ("problem", problem, Problem, "a miho.Problem; miho.fit takes a function"),
-        ("space of the problem", space, Space, "a miho.Space"),
-        ("name of the problem", name, str, "a word"),
-    ):
-        if isinstance(value, type):
-            raise ValueError(f"{label} is the class {value.__name__}; write {value.__name__}()")
-        if not isinstance(value, kind):
-            raise ValueError(f"{label} is {value!r}; expected {expected}")
-    if space.free is not space:
-        raise ValueError(
-            f"{name}: expected free parameters only; use a CurveFit for fixed and tied ones"
-        )
-    check_budget(budget)
-    whole("seed", seed, 0)
-    return int(seed)
 
 
 def _spread(

@@ -246,9 +246,9 @@ def test_the_space_must_fit_the_model() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dataset": {"alpha": [1.0]}}, "dataset is a dict; expected a Dataset; miho.fit takes"),
-        ({"space": {"B": (1, 2)}}, "space is a dict; expected a Space"),
-        ({"rho": "huber"}, "rho is a str; expected a Loss"),
+        ({"dataset": {"alpha": [1.0]}}, "needs a Dataset, got a dict; miho.fit takes other"),
+        ({"space": {"B": (1, 2)}}, "needs a Space, got a dict"),
+        ({"rho": "huber"}, "needs a Loss, got a str"),
     ],
 )
 def test_parts_of_a_wrong_type_are_refused(changes: dict[str, object], message: str) -> None:
