@@ -27,13 +27,13 @@ class RadialMap:
     ----------
     names, share_names : tuple of str
         Names of the coordinates of a point and of its shares.
-    centre, width : ndarray, shape (m,)
+    centre, width : ndarray of shape (m,)
         Inner point and scale of the directions.
-    sides : ndarray, shape (s, m)
+    sides : ndarray of shape (s, m)
         Scaled normals of the sides.
     texts : tuple of str
         Text of each side's constraint, for messages.
-    low, high : ndarray, shape (m,)
+    low, high : ndarray of shape (m,)
         Bounds of the points.
     """
 

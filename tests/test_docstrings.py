@@ -8,7 +8,10 @@ import re
 from enum import EnumType
 from importlib import import_module
 from pathlib import Path
+from runpy import run_path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
@@ -88,3 +91,18 @@ def test_sections_of_methods_match_signatures(package: str, name: str) -> None:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_print_what_they_show(name: str) -> None:
     assert not doctest.testmod(import_module(name)).failed
+
+
+def test_pages_keep_parameters_that_share_a_description_together() -> None:
+    griffe = SimpleNamespace(Extension=object, Object=object)
+    with patch.dict("sys.modules", griffe=griffe):
+        extension = run_path(str(ROOT / "docs" / "templates" / "docstrings.py"))["Markdown"]()
+    text = (
+        "Draw.\n\nParameters\n----------\nlow, high : float\n    Bounds.\nkind : {'a', 'b'}\n    A."
+    )
+    value = SimpleNamespace(docstring=SimpleNamespace(value=text))
+    extension.on_object(obj=value)
+    assert value.docstring.value.split("\n")[4::2] == [
+        "low,\u2009high : float",
+        'kind : "a",\u2009"b"',
+    ]

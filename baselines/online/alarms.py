@@ -61,9 +61,9 @@ class Watch(ABC):
 
     Attributes
     ----------
-    means : ndarray, shape (S, d)
+    means : ndarray of shape (S, d)
         Slow means of the estimates.
-    fired : ndarray of bool, shape (S,)
+    fired : bool ndarray of shape (S,)
         The runs with an alarm at the last row.
     alarm : Alarm or None
         The latest alarm of the first run.

@@ -63,15 +63,15 @@ class Peer(Running):
 
     Attributes
     ----------
-    theta : ndarray, shape (S, d)
+    theta : ndarray of shape (S, d)
         Estimates.
-    covariance : ndarray, shape (S, d, d)
+    covariance : ndarray of shape (S, d, d)
         Covariances of the estimates; NaN for a method without them.
-    probability : ndarray, shape (S,)
+    probability : ndarray of shape (S,)
         Probability of a change in the view of the method; NaN for a method without it.
-    statistic : ndarray, shape (S,)
+    statistic : ndarray of shape (S,)
         The quantity that the detector compares with its threshold.
-    x, y : ndarray, shape (S, p) and (S, m)
+    x, y : ndarray of shape (S, p) and (S, m)
         The last row; an output that was not used is NaN.
     """
 

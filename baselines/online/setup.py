@@ -35,11 +35,11 @@ class Predicted(NamedTuple):
 
     Attributes
     ----------
-    outputs : ndarray, shape (..., m)
+    outputs : ndarray of shape (..., m)
         Outputs.
-    slopes : ndarray, shape (..., m, d)
+    slopes : ndarray of shape (..., m, d)
         Derivatives by the parameters.
-    variances : ndarray, shape (..., m)
+    variances : ndarray of shape (..., m)
         Variances of the noise of outputs and inputs.
     """
 
@@ -60,17 +60,17 @@ class Setup:
         Outputs and derivatives of a row.
     columns : tuple of str
         The input columns; those with noise come first.
-    input_noise : ndarray, shape (q,)
+    input_noise : ndarray of shape (q,)
         Standard deviations of the first inputs.
-    theta : ndarray, shape (S, d)
+    theta : ndarray of shape (S, d)
         Offline estimates.
-    covariance : ndarray, shape (S, d, d)
+    covariance : ndarray of shape (S, d, d)
         Their covariances.
-    changes : ndarray, shape (S, d)
+    changes : ndarray of shape (S, d)
         Sizes of possible jumps, 0 for a parameter that does not jump.
-    largest_slopes : ndarray, shape (S, m, d)
+    largest_slopes : ndarray of shape (S, m, d)
         Largest derivative of each output by each parameter in the offline data.
-    example : ndarray, shape (S, p)
+    example : ndarray of shape (S, p)
         Inputs of a row of the offline data.
     period : float
         Time between rows without a column "time" [s].

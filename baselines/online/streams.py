@@ -52,11 +52,11 @@ class Stream:
         The parameters that may jump, and by which share.
     input_noise : mapping of str to float
         Standard deviations of measured inputs.
-    columns : mapping of str to ndarray, shape (N,)
+    columns : mapping of str to ndarray of shape (N,)
         The measurements, with a column `time` [s].
-    truth : mapping of str to ndarray, shape (N,)
+    truth : mapping of str to ndarray of shape (N,)
         The true parameters in each row.
-    clock : ndarray, shape (N,)
+    clock : ndarray of shape (N,)
         True time of each row [s]; the column `time` may be wrong.
     start, end : float, optional
         Times [s] between which the parameters change, or between which a fault lasts.

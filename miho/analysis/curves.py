@@ -45,7 +45,7 @@ def on_grid(curves: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.D
         As in `miho.load_runs`.
     axis : {'evaluations', 'seconds', 'cpu_seconds'}
         The axis.
-    grid : ndarray, shape (g,), optional
+    grid : ndarray of shape (g,), optional
         Positions on the axis; by default `log_grid`.
 
     Returns
@@ -150,7 +150,7 @@ def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.Dat
         `tidy.with_silent_runs`.
     axis : {'evaluations', 'seconds', 'cpu_seconds'}
         The axis.
-    target : float or ndarray, shape (rows,)
+    target : float or ndarray of shape (rows,)
         Error in the unit of the curves, for all rows or for each row.
 
     Returns

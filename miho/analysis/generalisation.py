@@ -74,9 +74,9 @@ def generalisation(
 
     Parameters
     ----------
-    measured, predicted : ndarray, shape (n,)
+    measured, predicted : ndarray of shape (n,)
         Lateral forces in the order of the drive, and the curve's forces at the same slip angles.
-    near : ndarray of bool, shape (n,)
+    near : bool ndarray of shape (n,)
         The rows near the peaks, see `near_peaks`.
     rng : numpy.random.Generator
         Draws the swings of each of `RESAMPLES` resamples.

@@ -139,9 +139,9 @@ def waterfall_figure(
 
     Parameters
     ----------
-    errors : ndarray, shape (n,)
+    errors : ndarray of shape (n,)
         Final errors of the descents.
-    ended_here : ndarray of bool, shape (n,)
+    ended_here : bool ndarray of shape (n,)
         Descents that ended in this optimum, drawn with filled marks.
     unit : str
         Unit of the errors.

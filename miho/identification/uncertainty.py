@@ -44,12 +44,12 @@ class Linearised:
     events : int
         Number of events, or 0. With events both covariances allow for errors that are dependent
         within an event [3]_, with factors for few events.
-    at_bound : ndarray of bool, shape (d,)
+    at_bound : bool ndarray of shape (d,)
         Parameters at a bound, which count as fixed: their covariances are 0.
     null_directions : ndarray of shape (k, d)
         Null space of the Jacobian: directions along which theta can move without changing any
         prediction. Both covariances are 0 along them.
-    unidentifiable : ndarray of bool, shape (d,)
+    unidentifiable : bool ndarray of shape (d,)
         Parameters that a null direction moves.
     noise_known : bool
         Whether the noise is known, so that intervals use the normal distribution.

@@ -38,7 +38,7 @@ def descend(
     ----------
     residuals, jacobian : callable
         Map parameters (d,) to residuals (m,) and derivatives (m, d).
-    start : ndarray, shape (d,)
+    start : ndarray of shape (d,)
         Starting point.
     space : Space
         The box.

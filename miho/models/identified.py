@@ -65,7 +65,7 @@ class Identified:
         The model.
     parameters : Mapping[str, Value]
         Identified parameters, in the model's order.
-    correlation : ndarray, shape (d, d)
+    correlation : ndarray of shape (d, d)
         Correlation of the parameters.
     ranges : Mapping[str, tuple[float, float]]
         Smallest and largest value of each input in the data, in the model's units.

@@ -115,14 +115,14 @@ class Model(ABC):
 
         Parameters
         ----------
-        thetas : ndarray, shape (n, d)
+        thetas : ndarray of shape (n, d)
             Parameter rows.
-        *inputs : ndarray, shape (N,)
+        *inputs : ndarray of shape (N,)
             Input columns, in the order of `inputs`.
 
         Returns
         -------
-        ndarray, shape (n, N)
+        ndarray of shape (n, N)
             Outputs, in a new array that the caller may overwrite. The outputs of a parameter row
             must not depend on the other rows of the batch.
         """
@@ -133,14 +133,14 @@ class Model(ABC):
 
         Parameters
         ----------
-        theta : ndarray, shape (d,)
+        theta : ndarray of shape (d,)
             Parameters.
-        *inputs : ndarray, shape (N,)
+        *inputs : ndarray of shape (N,)
             Input columns.
 
         Returns
         -------
-        ndarray, shape (N, d)
+        ndarray of shape (N, d)
             Derivatives.
         """
 
@@ -149,7 +149,7 @@ class Model(ABC):
 
         Parameters
         ----------
-        columns : mapping of str to ndarray, shape (N,)
+        columns : mapping of str to ndarray of shape (N,)
             Columns of the data, by name.
 
         Returns
@@ -167,11 +167,11 @@ class Model(ABC):
 
         Parameters
         ----------
-        theta : ndarray, shape (d,)
+        theta : ndarray of shape (d,)
             Optimum.
-        noise : float or ndarray, shape (N,)
+        noise : float or ndarray of shape (N,)
             Standard deviation of the residuals at the optimum, of all rows or of each.
-        *inputs : ndarray, shape (N,)
+        *inputs : ndarray of shape (N,)
             Input columns.
 
         Returns

@@ -43,7 +43,7 @@ class Output:
         Names of the model's parameters in the system, in the model's order.
     sigma : float
         Standard deviation of the errors, in `unit`.
-    columns : mapping of str to ndarray, shape (N,)
+    columns : mapping of str to ndarray of shape (N,)
         Columns of the offline data.
     """
 

@@ -102,16 +102,16 @@ class Rules:
         Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
     use, smooth, hold, repeats, gap, every, cap, step_error, burst, settle, wrong : float
         As for `TrackerSettings`.
-    unit : ndarray, shape (d,)
+    unit : ndarray of shape (d,)
         Size of a jump of a watched parameter; standard deviation of another one before the first
         row.
-    low, high : ndarray, shape (d,)
+    low, high : ndarray of shape (d,)
         Bounds of the parameters.
-    watched : ndarray, shape (d,)
+    watched : ndarray of shape (d,)
         1 for a parameter that may jump, else 0.
-    sigma : ndarray, shape (m,)
+    sigma : ndarray of shape (m,)
         Standard deviations of the errors of the outputs.
-    noise : ndarray, shape (q,)
+    noise : ndarray of shape (q,)
         Standard deviations of the first inputs.
     """
 

@@ -22,11 +22,11 @@ class Slopes(NamedTuple):
 
     Attributes
     ----------
-    values : ndarray, shape (m, K)
+    values : ndarray of shape (m, K)
         Outputs.
-    parameters : ndarray, shape (m, K, d)
+    parameters : ndarray of shape (m, K, d)
         Derivatives by the parameters.
-    inputs : ndarray, shape (m, K, q)
+    inputs : ndarray of shape (m, K, q)
         Derivatives by the inputs with noise.
     """
 
@@ -85,7 +85,7 @@ class ModelFormula(RowFormula):
         Names of the parameters.
     columns : tuple of str
         The input columns; those with noise come first.
-    noise : ndarray, shape (q,)
+    noise : ndarray of shape (q,)
         Standard deviations of the first inputs, which are the steps of central differences.
     """
 

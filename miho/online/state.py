@@ -125,9 +125,9 @@ class Change(NamedTuple):
 
     Attributes
     ----------
-    before, after : ndarray, shape (d,)
+    before, after : ndarray of shape (d,)
         Estimates.
-    before_errors, after_errors : ndarray, shape (d,)
+    before_errors, after_errors : ndarray of shape (d,)
         Their standard errors.
     """
 
@@ -148,7 +148,7 @@ def alarm_of(change: Change, time: float, names: Sequence[str], watched: Array) 
         Time of the alarm [s].
     names : sequence of str
         Names of the parameters.
-    watched : ndarray, shape (d,)
+    watched : ndarray of shape (d,)
         Not 0 for the parameters that the alarm watches.
 
     Returns
@@ -185,7 +185,7 @@ class TrackerState:
         Estimates.
     covariance : ndarray of shape (d, d)
         Covariance of the estimates; NaN for a method without one.
-    identifiable : ndarray of bool, shape (d,)
+    identifiable : bool ndarray of shape (d,)
         Whether recent rows inform each parameter.
     alarm : Alarm or None
         The change that this update has detected.
@@ -239,7 +239,7 @@ class TrackerState:
 
         Returns
         -------
-        ndarray, shape (d, 2)
+        ndarray of shape (d, 2)
             Lower and upper ends, within the bounds.
 
         Raises

@@ -67,7 +67,7 @@ class Journal:
 
     Parameters
     ----------
-    path : path-like
+    path : path
         The file.
     problem : Described
         The problem whose evaluations are logged.
@@ -241,7 +241,7 @@ def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
 
     Parameters
     ----------
-    path : path-like
+    path : path
         The file.
 
     Returns

@@ -129,7 +129,7 @@ def load_runs(root: str | Path) -> Runs:
 
     Parameters
     ----------
-    root : path-like
+    root : path
         Folder of runs.
 
     Returns

@@ -22,9 +22,9 @@ def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
     ----------
     model : Model
         The model.
-    thetas : ndarray, shape (n, d)
+    thetas : ndarray of shape (n, d)
         Parameters.
-    *inputs : ndarray, shape (N,)
+    *inputs : ndarray of shape (N,)
         Input columns.
 
     Raises

@@ -30,13 +30,13 @@ class MeanCurve:
 
     Attributes
     ----------
-    at : ndarray, shape (t,)
+    at : ndarray of shape (t,)
         All positions where any run improves, increasing.
-    errors : ndarray, shape (n, t)
+    errors : ndarray of shape (n, t)
         Best errors so far; inf before the first value, so that the mean is inf as well.
-    ends : ndarray, shape (n,)
+    ends : ndarray of shape (n,)
         The end of each run.
-    cut : ndarray of bool, shape (n,)
+    cut : bool ndarray of shape (n,)
         Runs that the budget or the user stopped and that could have continued. The others keep
         their last value.
     """

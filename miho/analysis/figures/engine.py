@@ -38,13 +38,13 @@ def fig5(
     ----------
     samples, curves : mapping of float to (ndarray, ndarray)
         For each throttle opening in percent, engine speed [rpm] and torque [Nm], both (n,).
-    rpm : ndarray, shape (M,)
+    rpm : ndarray of shape (M,)
         Engine speeds of the map [rpm].
-    throttle : ndarray, shape (K,)
+    throttle : ndarray of shape (K,)
         Openings of the map [%].
-    torque : ndarray, shape (K, M)
+    torque : ndarray of shape (K, M)
         Torque of the map [Nm].
-    learned : ndarray, shape (K, M)
+    learned : ndarray of shape (K, M)
         Weight of the learned curves in the map; the interpolation uses them in the blue area.
     truth : mapping, optional
         True curves of the data, like `curves`.

@@ -48,7 +48,7 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
     ----------
     figure : Figure
         The figure.
-    path_without_suffix : path-like
+    path_without_suffix : path
         Path of the files without suffix.
 
     Returns

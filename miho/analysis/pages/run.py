@@ -66,7 +66,7 @@ def save_report(
     ----------
     report : Report
         The report.
-    folder : path-like
+    folder : path
         Folder of the files; it is created if necessary.
     stored : StoredRun, optional
         The stored run of the report. The page and parameters.json then say how to regenerate it.

@@ -79,7 +79,7 @@ def save_sweep_page(
 
     Parameters
     ----------
-    root : path-like
+    root : path
         Folder of runs.
     path : Path, optional
         The page; by default report.html in the root.

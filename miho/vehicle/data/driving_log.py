@@ -236,7 +236,7 @@ def load_driving_log(
 
     Parameters
     ----------
-    path : path-like
+    path : path
         The file.
     columns : sequence of str
         Channels of `CHANNELS`.

@@ -135,7 +135,7 @@ def sample_tir(
 
     Parameters
     ----------
-    tire : path-like
+    tire : path
         Name of an embedded tire (lf, rf, lr, rr) or path of a property file.
     n : int
         Number of samples.
@@ -179,7 +179,7 @@ def sample_lateral(
 
     Parameters
     ----------
-    tire : path-like
+    tire : path
         See `sample_tir`.
     n : int
         Number of samples.

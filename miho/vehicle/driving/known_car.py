@@ -43,7 +43,7 @@ class KnownCar:
         The car.
     front, rear : Axle
         Curves of the axles at `loads`.
-    loads : ndarray, shape (4,)
+    loads : ndarray of shape (4,)
         Loads of the wheels [N]: front left, front right, rear left, rear right.
     grip : Grip
         Largest forces of the tires at `loads`.
@@ -51,7 +51,7 @@ class KnownCar:
         The engine.
     brake : Brake
         The brake.
-    stiffness_sensitivity : ndarray, shape (4,), optional
+    stiffness_sensitivity : ndarray of shape (4,), optional
         q_K of `LoadSensitivity` at `loads` [-]. By default the sensitivity of the largest forces,
         so that curves keep their shape.
     """

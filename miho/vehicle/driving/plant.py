@@ -63,7 +63,7 @@ class Motion(NamedTuple):
         Forces other than weight, per mass [m/s^2], as measured by an accelerometer.
     steering : float
         Angle of the road wheels [rad].
-    wheel_speeds : ndarray, shape (4,)
+    wheel_speeds : ndarray of shape (4,)
         Speeds of the wheels [rad/s].
     engine_speed, engine_torque : float
         Engine speed [rad/s] and torque [Nm].
@@ -71,7 +71,7 @@ class Motion(NamedTuple):
         Gear.
     brake_pressure : float
         Pressure of the front circuit [Pa].
-    loads : ndarray, shape (4,)
+    loads : ndarray of shape (4,)
         Loads of the wheels [N].
     """
 

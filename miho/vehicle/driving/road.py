@@ -25,9 +25,9 @@ class Road(NamedTuple):
         Whether the line is closed.
     turn : float
         Change of the heading over a lap [rad].
-    x, y, heading, bank : ndarray, shape (n + 1,)
+    x, y, heading, bank : ndarray of shape (n + 1,)
         Position [m], heading [rad] and bank [rad] at the ends of the cells.
-    curvature : ndarray, shape (n,)
+    curvature : ndarray of shape (n,)
         Curvature of each cell [1/m]; its integral is the heading.
     friction : float
         Friction relative to the surface of the tire measurement [-].

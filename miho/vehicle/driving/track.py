@@ -49,17 +49,17 @@ class Track:
         Name of the track.
     length : float
         Length of a lap [m].
-    s : ndarray, shape (n,)
+    s : ndarray of shape (n,)
         Arc lengths [m], from 0 in steps of length / n; the last point is one step before the first.
-    x, y : ndarray, shape (n,)
+    x, y : ndarray of shape (n,)
         Position [m], east and north.
-    heading : ndarray, shape (n,)
+    heading : ndarray of shape (n,)
         Heading [rad], counter-clockwise from the x axis and without jumps.
-    curvature : ndarray, shape (n,)
+    curvature : ndarray of shape (n,)
         Curvature [1/m], positive to the left.
-    bank : ndarray, shape (n,)
+    bank : ndarray of shape (n,)
         Bank [rad], positive if the left side is lower, as in a left turn of an oval.
-    width_left, width_right : ndarray, shape (n,)
+    width_left, width_right : ndarray of shape (n,)
         Distance from the line to the edges of the road [m].
 
     Raises

@@ -22,7 +22,7 @@ class Axle:
 
     Parameters
     ----------
-    left, right : array_like, shape (5,) or (6,)
+    left, right : array_like of shape (5,) or (6,)
         Parameters of `Pacejka` (B, C, D, Sx, Sy) or `PacejkaCurvature` (B, C, D, E, Sx, Sy), each
         at the load of its wheel. The two may have different models.
 
@@ -73,12 +73,12 @@ def cornering_stiffness(theta: ArrayLike) -> Array:
 
     Parameters
     ----------
-    theta : array_like, shape (..., 5) or (..., 6)
+    theta : array_like of shape (..., 5) or (..., 6)
         Parameters of `Pacejka` or `PacejkaCurvature`.
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray of shape (...)
         Cornering stiffness [N/rad], positive for usual tires.
 
     Examples
@@ -100,12 +100,12 @@ def central_stiffness(theta: ArrayLike) -> Array:
 
     Parameters
     ----------
-    theta : array_like, shape (..., 5) or (..., 6)
+    theta : array_like of shape (..., 5) or (..., 6)
         Parameters of `Pacejka` or `PacejkaCurvature`.
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray of shape (...)
         Slope [N/rad].
     """
     B, C, D, _, _ = _curve(theta)

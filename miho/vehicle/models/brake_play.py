@@ -24,14 +24,14 @@ def play(values: Array, width: float) -> Array:
 
     Parameters
     ----------
-    values : ndarray, shape (N,)
+    values : ndarray of shape (N,)
         Input. The output starts at the first value.
     width : float
         Full width of the band, in the unit of the values, at least 0.
 
     Returns
     -------
-    ndarray, shape (N,)
+    ndarray of shape (N,)
         Output.
 
     Raises

@@ -30,15 +30,15 @@ class EngineMap:
 
     Parameters
     ----------
-    openings : ndarray, shape (K,)
+    openings : ndarray of shape (K,)
         Throttle openings of the rows, from 0 to 1.
-    speeds : ndarray, shape (M,)
+    speeds : ndarray of shape (M,)
         Engine speeds of the columns [rad/s].
-    table : ndarray, shape (K, M)
+    table : ndarray of shape (K, M)
         Torque [Nm]. Row 0 is engine braking, which is negative.
-    learned : ndarray, shape (K, M)
+    learned : ndarray of shape (K, M)
         Weight of the learned curves in each entry; 0 for dyno data only.
-    correction : ndarray, shape (K, M)
+    correction : ndarray of shape (K, M)
         Change of each entry [Nm] that made the table monotone.
 
     Raises
@@ -88,7 +88,7 @@ class EngineMap:
 
         Parameters
         ----------
-        throttle, omega, torque : array_like, shape (N,)
+        throttle, omega, torque : array_like of shape (N,)
             Opening from 0 to 1, engine speed [rad/s] and torque [Nm] of each point. Each speed
             must be measured at each opening. Leave out unreliable points.
 

@@ -71,16 +71,16 @@ def at_load(theta: ArrayLike, ratio: ArrayLike, sensitivity: LoadSensitivity) ->
 
     Parameters
     ----------
-    theta : array_like, shape (..., 5) or (..., 6)
+    theta : array_like of shape (..., 5) or (..., 6)
         Parameters of `Pacejka` or `PacejkaCurvature`.
-    ratio : array_like, shape (...)
+    ratio : array_like of shape (...)
         Load divided by the load of theta [-], at least 0; broadcasts with theta.
     sensitivity : LoadSensitivity
         Load sensitivity of the tire at the load of theta.
 
     Returns
     -------
-    ndarray, shape (..., 5) or (..., 6)
+    ndarray of shape (..., 5) or (..., 6)
         Parameters with new D, B and Sy; C, E and Sx are unchanged.
 
     Raises
@@ -114,9 +114,9 @@ def load_sensitivity(
 
     Parameters
     ----------
-    theta : array_like, shape (5,) or (6,)
+    theta : array_like of shape (5,) or (6,)
         Identified parameters of `Pacejka` or `PacejkaCurvature`.
-    alpha, Fz, Fy : array_like, shape (n,)
+    alpha, Fz, Fy : array_like of shape (n,)
         Slip angles [rad], wheel loads [N] and lateral forces [N] of the rows, ISO-W.
     load : float
         Load of theta [N], usually the middle of the loads of the rows.

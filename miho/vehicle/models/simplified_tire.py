@@ -27,13 +27,13 @@ class SimplifiedTire(NamedTuple):
 
     Attributes
     ----------
-    Fz, gamma, pressure : ndarray, shape (rows,)
+    Fz, gamma, pressure : ndarray of shape (rows,)
         Wheel load [N], inclination [rad] and inflation pressure [Pa].
-    B, C, D, E, Sx, Sy : ndarray, shape (rows,)
+    B, C, D, E, Sx, Sy : ndarray of shape (rows,)
         Parameters of `PacejkaCurvature` [1/rad, -, N, -, rad, N], ISO-W.
-    asymmetry : ndarray, shape (rows,)
+    asymmetry : ndarray of shape (rows,)
         The tire has E + asymmetry for alpha > Sx, and E - asymmetry for alpha < Sx [-].
-    residual : ndarray, shape (rows,)
+    residual : ndarray of shape (rows,)
         Largest difference between simple curve and tire for |alpha| up to 0.3 rad [N].
     """
 
