@@ -56,6 +56,18 @@ def error_curves(
     and have a band from the 10 % to the 90 % quantile; the others are grey. A problem without a
     known optimum is compared with the best error of all its runs (`running_time.references`) and
     marked with a star.
+
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As in `miho.load_runs`.
+    note : str, optional
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        The panels.
     """
     runs, curves = comparison(runs, curves)
     best_known = references(runs)
@@ -156,9 +168,21 @@ def profiles_figure(
 ) -> Figure:
     """Performance profile (Dolan and More 2002) and data profile (More and Wild 2009).
 
-    The frames have the columns optimizer, kappa or tau, and share. kappa counts evaluations per (d
-    + 1); tau is the ratio to the best method of each problem. The shares at the end of the
-    performance profile are printed.
+    The shares at the end of the performance profile are printed.
+
+    Parameters
+    ----------
+    data_profile : DataFrame
+        Columns optimizer, kappa (evaluations per d + 1) and share.
+    performance_profile : DataFrame
+        Columns optimizer, tau (ratio to the best method of each problem) and share.
+    note : str, optional
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        Two panels.
     """
     with _stacked(performance_profile) as (figure, above, below):
         plot_shares(performance_profile, "tau", above)
@@ -264,9 +288,25 @@ def ert_table(
     """Expected running time to `factor` times the optimum, by method and problem.
 
     Darker cells are faster, and the last line is the cost of the best method of each problem, in
-    evaluations. `ert` is as from `expected_running_time`. `order` has the columns optimizer and
-    rank, which order the methods and are printed, for example the ranks of the leaderboard. By
-    default it is the ranks of the running times; infinite times on a problem share the last rank.
+    evaluations.
+
+    Parameters
+    ----------
+    ert : DataFrame
+        As from `expected_running_time`.
+    factor : float, optional
+        Target, as a multiple of the best known error.
+    order : DataFrame, optional
+        Columns optimizer and rank, which order the methods and are printed, for example the ranks
+        of the leaderboard. By default the ranks of the running times; infinite times on a problem
+        share the last rank.
+    note : str, optional
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        The table.
     """
     rows = at_factor(ert, factor)
     methods = rows["optimizer"].nunique()

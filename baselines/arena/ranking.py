@@ -69,10 +69,26 @@ def critical_difference_diagram(
 ) -> Figure:
     """Mean ranks and cliques that are not separated (Demsar 2006, Fig. 1), with a row per method.
 
-    The frame has the columns optimizer and rank (1 is best). `cd` is the critical difference, drawn
-    to scale at the top. A bar next to the rows joins the methods of a clique, between which the
-    test finds no difference; methods without a common bar differ. `sample` describes the sample of
-    the mean ranks, for example "12 problems".
+    A bar next to the rows joins the methods of a clique, between which the test finds no
+    difference; methods without a common bar differ.
+
+    Parameters
+    ----------
+    ranks : DataFrame
+        Columns optimizer and rank (1 is best).
+    cd : float
+        Critical difference, drawn to scale at the top.
+    cliques : sequence of collection of str
+        Groups of methods that the test does not separate.
+    sample : str, optional
+        Describes the sample of the mean ranks, for example "12 problems".
+    note : str, optional
+        Text below the figure.
+
+    Returns
+    -------
+    Figure
+        The diagram.
     """
     with new_figure(ROW * len(ranks) + 1.1) as figure:
         wide = min(0.4, 0.05 + 0.025 * len(cliques))

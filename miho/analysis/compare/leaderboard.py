@@ -91,14 +91,28 @@ def leaderboard(
 
 
 def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame | None, factor: float) -> pd.DataFrame:
-    """Scores (problems, methods) for ranks and tests; lower is better.
+    """Scores of each method on each problem, for ranks and tests; lower is better.
 
     A score is the logarithm (base 10) of the expected running time at `factor` if that is finite.
     For a method that never reached the target, it is one more than the largest finite score of the
     problem (or than 0), so that every method that solves a problem is at least a factor of ten
-    ahead of every method that does not. With `areas`, 1 - the mean area over the curve is added to
-    that. This breaks ties by a measure other than the running time, so a test of running times
-    omits it. A method that was not run on a problem has area 0 there.
+    ahead of every method that does not.
+
+    Parameters
+    ----------
+    ert : DataFrame
+        As from `expected_running_time`.
+    areas : DataFrame or None
+        As from `area_over_curve`. 1 - the mean area of a method is added to the score if it never
+        reached the target. This breaks ties by a measure other than the running time, so a test of
+        running times omits it. A method that was not run on a problem has area 0 there.
+    factor : float
+        Target, as a multiple of the best known error.
+
+    Returns
+    -------
+    DataFrame
+        A row per problem and a column per method.
     """
     at = at_factor(ert, factor).pivot(index="problem", columns="optimizer", values="ert")
     logs = at.where(np.isfinite(at)).map(np.log10)

@@ -53,8 +53,24 @@ def data_profile(
 ) -> pd.DataFrame:
     """Share of (problem, seed) solved to a factor within kappa (d + 1) evaluations.
 
-    The columns are optimizer, kappa and share. Solved means an error of at most factor times the
-    best known error, not a reduction from the starting point as in the reference.
+    Solved means an error of at most factor times the best known error, not a reduction from the
+    starting point as in the reference.
+
+    Parameters
+    ----------
+    hits : DataFrame
+        As from `running_time.hits`.
+    dimensions : mapping of str to int
+        Number of parameters d of each problem.
+    factor : float
+        Target, as a multiple of the best known error.
+    grid : ndarray, optional
+        Values of kappa; by default a logarithmic grid over all of them.
+
+    Returns
+    -------
+    DataFrame
+        Columns optimizer, kappa and share.
 
     References
     ----------
@@ -70,10 +86,23 @@ def performance_profile(
 ) -> pd.DataFrame:
     """Share of problems whose expected running time is within tau times the best method's.
 
-    The columns are optimizer, tau and share. The share at tau = 1 is the share of problems on which
-    the method is the fastest. A problem that no method solves is counted. The ratios depend on the
-    methods that take part, so only the best method can be read from a profile, not an order of the
-    others (Gould and Scott 2016).
+    The share at tau = 1 is the share of problems on which the method is the fastest. A problem that
+    no method solves is counted. The ratios depend on the methods that take part, so only the best
+    method can be read from a profile, not an order of the others (Gould and Scott 2016).
+
+    Parameters
+    ----------
+    ert : DataFrame
+        As from `running_time.expected_running_time`.
+    factor : float
+        Target, as a multiple of the best known error.
+    grid : ndarray, optional
+        Values of tau; by default a logarithmic grid over all of them.
+
+    Returns
+    -------
+    DataFrame
+        Columns optimizer, tau and share.
 
     References
     ----------
@@ -128,7 +157,7 @@ def area_over_curve(
     budget: float | Mapping[str, float] | None = None,
     axis: Axis = "evaluations",
 ) -> pd.DataFrame:
-    """The area of each run in [0, 1], more is better: problem, optimizer, seed, budget, aocc.
+    """Area over the curve of the error of each run, in [0, 1]; more is better.
 
     It is the mean over [0, budget], linear in the axis, of
 
@@ -139,8 +168,20 @@ def area_over_curve(
     last value after its end. This is the AOCC of the reference for a relative gap; its sum over
     evaluations 1 to budget also counts the last value once, a difference of at most 1 / budget.
 
-    `budget` is one number, or a number for each problem. By default it is the largest cost of any
-    run of the problem.
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As in `miho.load_runs`.
+    budget : float or mapping of str to float, optional
+        Upper end of the axis, for all problems or by problem. By default the largest cost of any
+        run of the problem.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}, optional
+        The axis.
+
+    Returns
+    -------
+    DataFrame
+        Columns problem, optimizer, seed, budget and aocc, with a row per run.
 
     References
     ----------

@@ -119,9 +119,24 @@ def running_times(hits: pd.DataFrame, axis: Axis) -> pd.DataFrame:
 def expected_running_time(
     hits: pd.DataFrame, axis: Axis, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> pd.DataFrame:
-    """`running_times` with `low` and `high`: the 95 % percentile bootstrap over runs.
+    """Expected running time of each method to each target, with bootstrap intervals.
 
-    A resample without any success has an expected running time of inf.
+    Parameters
+    ----------
+    hits : DataFrame
+        As from `hits`.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        The cost of a run.
+    rng : numpy.random.Generator
+        Draws the resamples of the runs.
+    resamples : int, optional
+        Number of resamples.
+
+    Returns
+    -------
+    DataFrame
+        As from `running_times`, with the 95 % percentile interval of ert from `low` to `high`. A
+        resample without a success has an expected running time of inf.
     """
     table = running_times(hits, axis)
     _, values = resampled(hits, axis, rng, resamples)

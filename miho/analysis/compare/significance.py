@@ -46,7 +46,19 @@ class FriedmanTest:
 
 
 def ranks(scores: pd.DataFrame) -> pd.DataFrame:
-    """Mean rank over problems, best first: optimizer, rank. Ties share the mean of their ranks."""
+    """Mean rank of each method over problems; ties share the mean of their ranks.
+
+    Parameters
+    ----------
+    scores : DataFrame
+        A row per problem and a column per method, lower is better, for example from
+        `leaderboard.problem_scores`.
+
+    Returns
+    -------
+    DataFrame
+        Columns optimizer and rank (1 is best), best first.
+    """
     mean = pd.Series(rank_rows(scores).mean(axis=0), index=scores.columns)
     table = mean.sort_values(kind="stable").rename_axis("optimizer")
     return table.rename("rank").reset_index()
@@ -75,6 +87,18 @@ def critical_difference(methods: int, problems: int, level: float = 0.05) -> flo
 
     It accounts for all pairs. The ranks of two methods depend on the other methods (Benavoli,
     Corani and Mangili 2016); `pairwise` tests a pair alone.
+
+    Parameters
+    ----------
+    methods, problems : int
+        Numbers of methods and of problems.
+    level : float, optional
+        Level of significance.
+
+    Returns
+    -------
+    float
+        The difference.
     """
     if methods < 2 or problems < 1 or not 0 < level < 1:
         raise ValueError(
@@ -86,9 +110,20 @@ def critical_difference(methods: int, problems: int, level: float = 0.05) -> flo
 
 
 def cliques(ranks: pd.DataFrame, difference: float) -> list[tuple[str, ...]]:
-    """The largest groups of methods whose ranks are within `difference`, best first.
+    """The largest groups of methods whose mean ranks are within the critical difference.
 
-    Each is a tuple of at least two names in the order of their ranks, none contained in another.
+    Parameters
+    ----------
+    ranks : DataFrame
+        As from `ranks`.
+    difference : float
+        As from `critical_difference`.
+
+    Returns
+    -------
+    list of tuple of str
+        At least two names each, in the order of their ranks, the best group first. No group is
+        contained in another.
     """
     ordered = ranks.sort_values("rank", kind="stable")
     names, values = ordered["optimizer"].tolist(), ordered["rank"].to_numpy(dtype=float)

@@ -122,7 +122,26 @@ def plot_torque_curves(
 
 
 def plot_engine_map(rpm: Array, throttle: Array, torque: Array, learned: Array, ax: Axes) -> Axes:
-    """Contours of the torque over engine speed and throttle; blue where learned curves are used."""
+    """Contours of the torque over engine speed and throttle; blue where learned curves are used.
+
+    Parameters
+    ----------
+    rpm : ndarray of shape (M,)
+        Engine speeds [rpm].
+    throttle : ndarray of shape (K,)
+        Openings [%].
+    torque : ndarray of shape (K, M)
+        Torque [Nm].
+    learned : ndarray of shape (K, M)
+        Weight of the learned curves, as in `EngineMap`.
+    ax : Axes
+        The panel.
+
+    Returns
+    -------
+    Axes
+        The panel.
+    """
     inside = np.logical_and(torque.min() < LEVELS, torque.max() > LEVELS)
     ax.contourf(rpm, throttle, learned, levels=[1e-6, 1.5], colors=[BLUE], alpha=0.3)
     lines = ax.contour(

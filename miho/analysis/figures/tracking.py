@@ -59,7 +59,22 @@ def plot_parameter(
 def states_figure(
     states: pd.DataFrame, units: Mapping[str, str], alarms: Mapping[float, str]
 ) -> Figure:
-    """A panel for each parameter in `units` over time; `alarms` are times [s] with their words."""
+    """Tracked parameters with their intervals over time, a panel for each.
+
+    Parameters
+    ----------
+    states : DataFrame
+        Columns of `plot_parameter`.
+    units : mapping of str to str
+        Unit of each parameter to draw.
+    alarms : mapping of float to str
+        Times [s] of alarms, and their words.
+
+    Returns
+    -------
+    Figure
+        The panels.
+    """
     with new_figure(0.8 + 1.5 * len(units)) as figure:
         panels = figure.subplots(len(units), 1, sharex=True, squeeze=False)[:, 0]
         for (name, unit), ax in zip(units.items(), panels, strict=True):

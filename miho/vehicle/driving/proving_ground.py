@@ -81,7 +81,20 @@ class Recording:
 
 
 def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:
-    """Drive a manoeuvre on a plane and return the recording."""
+    """Drive a manoeuvre on a plane.
+
+    Parameters
+    ----------
+    plant : Plant
+        The car.
+    manoeuvre : Manoeuvre
+        An entry of `programme`.
+
+    Returns
+    -------
+    Recording
+        Motions and commands; its `log` adds the noise of sensors.
+    """
     state = plant.start(speed=manoeuvre.speed, gear=manoeuvre.gear)
     motions, commands = [], []
     low, high = manoeuvre.within
@@ -131,7 +144,20 @@ def brakings() -> tuple[Manoeuvre, ...]:
 
 
 def programme(vehicle: Vehicle, openings: Sequence[float]) -> Mapping[str, tuple[Manoeuvre, ...]]:
-    """Return all manoeuvres by name: weave, braking, and throttle_05 etc. for the openings."""
+    """Return the manoeuvres from which all parts of a car are identified.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Masses and dimensions of the car.
+    openings : sequence of float
+        Throttle openings to hold, from 0 to 1.
+
+    Returns
+    -------
+    mapping of str to tuple of Manoeuvre
+        Manoeuvres by name: weave, braking, and throttle_05 etc. for the openings.
+    """
     throttles = {
         f"throttle_{round(100 * opening):02d}": held_throttles(vehicle, opening)
         for opening in openings

@@ -47,7 +47,19 @@ EVERY = 5
 def problems_of(logs: Logs, vehicle: Vehicle, spaces: Mapping[str, Space]) -> dict[str, CurveFit]:
     """Return the identification problems for the logs of a `programme`, by part.
 
-    `spaces` must contain the spaces named in `SPACES`.
+    Parameters
+    ----------
+    logs : mapping of str to tuple of DrivingLog
+        The logs of each entry of the programme.
+    vehicle : Vehicle
+        Masses and dimensions of the car.
+    spaces : mapping of str to Space
+        The spaces named in `SPACES`.
+
+    Returns
+    -------
+    dict of str to CurveFit
+        Problems of front_axle, rear_axle, brake, and throttle_05 etc.
     """
     data: dict[str, tuple[Model, str, Dataset]] = {}
     for axle in ("front", "rear"):
@@ -115,7 +127,26 @@ def _torques(logs: Iterable[DrivingLog], vehicle: Vehicle, opening: float) -> Da
 def identify_parts(
     problems: Mapping[str, CurveFit], optimizer: Optimizer, budget: Budget, seed: int, folder: Path
 ) -> None:
-    """Identify all parts with one method, and write PART.json for each part to a folder."""
+    """Identify all parts with one method, and write PART.json for each part to a folder.
+
+    Parameters
+    ----------
+    problems : mapping of str to CurveFit
+        The problems by part, as from `problems_of`.
+    optimizer : Optimizer
+        The method.
+    budget : Budget
+        Limits of each run.
+    seed : int
+        Seed of each run.
+    folder : Path
+        Folder of the parameters files; it is created if necessary.
+
+    Raises
+    ------
+    ValueError
+        If a run finds no finite error.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for part, problem in problems.items():
         record = minimize(optimizer, problem, budget, seed)

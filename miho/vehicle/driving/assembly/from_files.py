@@ -52,9 +52,29 @@ def known_from(
 
     Loads of the axles are taken at the mean speed of the weave, without load transfer. Load
     transfer in the weave lowered the measured peaks, so a planner that subtracts it again is
-    conservative. `sensitivity` [-] is the load sensitivity of the peaks, which curves of an axle do
-    not determine. If `extended`, learned curves also replace the dyno above 20 % throttle. `dyno`
-    [-] is the ratio of the torque on the dyno, whose noise has a seed, to the torque in the car.
+    conservative.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the parameters files, as from `identify_parts`.
+    vehicle : Vehicle
+        Masses and dimensions of the car.
+    sensitivity : float
+        Load sensitivity of the peaks [-], which curves of an axle do not determine.
+    extended : bool, optional
+        Whether learned curves also replace the dyno above 20 % throttle.
+    dyno : float, optional
+        Torque on the dyno relative to the torque in the car [-].
+    seed : int, optional
+        Seed of the noise of the dyno.
+    wrong : Wrong, optional
+        Factors on the identified parameters; by default none.
+
+    Returns
+    -------
+    KnownCar
+        The car that a planner and a driver know.
     """
     off = Wrong() if wrong is None else wrong
     front, rear = (
@@ -74,7 +94,18 @@ def known_from(
 def engine_from(
     folder: Path, *, extended: bool = False, dyno: float = 1.0, seed: int = 0
 ) -> EngineMap:
-    """Return the integrated map of the learned curves in a folder; see `known_from`."""
+    """Return the integrated engine map of the learned curves in a folder.
+
+    Parameters
+    ----------
+    folder, extended, dyno, seed
+        As in `known_from`.
+
+    Returns
+    -------
+    EngineMap
+        The map of the dyno with the learned curves.
+    """
     trusted = trusted_map(dyno_test(seed), dyno)
     openings = LOW_OPENINGS + (HIGH_OPENINGS if extended else ())
     curves = [
