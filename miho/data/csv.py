@@ -124,7 +124,7 @@ def load_csv(
     missing: str = "raise",
     name: str | None = None,
 ) -> Dataset:
-    """Load a dataset from a text file with a header line, in SI units, radians and ISO-W signs.
+    r"""Load a dataset from a text file with a header line, in SI units, radians and ISO-W signs.
 
     Parameters
     ----------
@@ -148,6 +148,16 @@ def load_csv(
         For a fault in the file.
     ValueError
         For an invalid setting.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder, "pulse.csv")
+    ...     _ = path.write_text("time,voltage\n0,1\n10,2\n")
+    ...     load_csv(str(path), ["t", "u"], ["ms", "V"], "u", headers=["time", "voltage"])
+    <Dataset pulse: 2 rows; columns: t [s], u [V]; output: u>
     """
     layout = Layout(
         columns, units, output, headers, convention, flip, ranges, held_out, where, every

@@ -33,6 +33,14 @@ def stacked(data: Dataset, scales: Mapping[str, float]) -> Dataset:
     ------
     ValueError
         If `scales` is empty, or `data` already has a column `output` or `value`.
+
+    Examples
+    --------
+    >>> from miho.data import Dataset, stacked
+    >>> units = {"t": "s", "x": "m", "v": "m/s"}
+    >>> motion = Dataset("motion", {"t": [0, 1], "x": [0, 2], "v": [3, 1]}, units, "x")
+    >>> stacked(motion, {"x": 0.1, "v": 0.5})["value"].tolist()
+    [0.0, 20.0, 6.0, 2.0]
     """
     for name, scale in scales.items():
         positive(f"scale of {name}", scale)

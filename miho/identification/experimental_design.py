@@ -235,6 +235,17 @@ def optimal_design(
     ----------
     Fedorov, Theory of Optimal Experiments, 1972.
     Cook and Nachtsheim, Technometrics 22, 1980, p. 315.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> from miho.identification import optimal_design
+    >>> t = np.linspace(0, 2, 50)
+    >>> y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(50)
+    >>> fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, {"a": (0, 5), "b": (0, 10)})
+    >>> optimal_design(fit, {"t": np.linspace(0, 2, 21)}, 5).chosen["t"].round(1).tolist()
+    [0.0, 0.1, 0.2, 0.3, 0.7]
     """
     report = report_of(report)
     problem, at = report.problem, report.at

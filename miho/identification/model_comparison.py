@@ -179,6 +179,22 @@ def compare_models(*reports: Compared | Mapping[str, Compared]) -> ModelComparis
     ----------
     Burnham and Anderson, Model Selection and Multimodel Inference, 2nd ed. 2002, Ch. 2 and 6.4.
     Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 3.10.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> def decay(t, a, b):
+    ...     return a * np.exp(-b * t)
+    >>> def line(t, a, b):
+    ...     return a - b * t
+    >>> t = np.linspace(0, 2, 50)
+    >>> y = decay(t, 2, 1.5) + 0.05 * np.random.default_rng(1).standard_normal(50)
+    >>> fits = [miho.fit(model, t, y, {"a": (0, 5), "b": (0, 10)}) for model in (decay, line)]
+    >>> miho.compare_models(*fits).table[["model", "difference"]].round()
+       model  difference
+    0  decay         0.0
+    1   line       152.0
     """
     described = [report for compared in reports for report in _reports_of(compared)]
     if len(described) < 2:

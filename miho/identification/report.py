@@ -324,10 +324,17 @@ class Report:
         return percentile_intervals(replicates, units, self.at.freedom, self.level)
 
     def band(self, *inputs: Array) -> tuple[Array, Array]:
-        """Prediction (N,) with the half width (N,) of its interval, in the unit of the output.
+        """Prediction of the model with the interval of the curve, not of new measurements.
 
-        `inputs` are the input columns (N,), in the order and units of the model. The interval has
-        the level of the report and is an interval of the curve, not of new measurements.
+        Parameters
+        ----------
+        *inputs : ndarray of shape (N,)
+            Input columns, in the order and units of the model.
+
+        Returns
+        -------
+        tuple of ndarray of shape (N,)
+            Prediction, and half width of its interval at the level of the report.
         """
         return self.at.band(self.problem.model, self.level, *inputs)
 

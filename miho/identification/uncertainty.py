@@ -145,7 +145,18 @@ class Linearised:
         return float(scipy.special.stdtrit(self.freedom, (1 + level) / 2))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Lower and upper ends (d, 2) of the intervals of a confidence level."""
+        """Intervals of the parameters.
+
+        Parameters
+        ----------
+        level : float, optional
+            Confidence level.
+
+        Returns
+        -------
+        ndarray of shape (d, 2)
+            Lower and upper ends.
+        """
         reach = self.quantiles(np.eye(self.theta.size), level) * self.standard_errors
         return np.stack([self.theta - reach, self.theta + reach], axis=1)
 
@@ -157,19 +168,55 @@ class Linearised:
         return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2))
 
     def reach(self, gradients: Array, level: float = 0.95) -> Array:
-        """Half widths (n,) of the intervals of quantities with gradients (n, d)."""
+        """Half widths of the intervals of functions of the parameters.
+
+        Parameters
+        ----------
+        gradients : ndarray of shape (n, d)
+            Derivatives of the functions with respect to the parameters.
+        level : float, optional
+            Confidence level.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Half widths, in the units of the functions.
+        """
         return self.quantiles(gradients, level) * self.spread(gradients)
 
     def band(self, model: Model, level: float, *inputs: Array) -> tuple[Array, Array]:
-        """Prediction of a model at input columns (N,), and the half width of its interval."""
+        """Prediction of a model with the interval of the curve.
+
+        Parameters
+        ----------
+        model : Model
+            A model with these parameters.
+        level : float
+            Confidence level.
+        *inputs : ndarray of shape (N,)
+            Input columns.
+
+        Returns
+        -------
+        tuple of ndarray of shape (N,)
+            Prediction, and half width of its interval.
+        """
         value = model.predict(self.theta[None], *inputs)[0]
         return value, self.reach(model.jacobian(self.theta, *inputs), level)
 
     def spread(self, gradients: Array) -> Array:
-        """Standard errors (n,) of quantities with gradients (n, d) with respect to the parameters.
+        """Standard errors of functions of the parameters.
 
-        Infinite for a quantity that a null direction moves, NaN for a quantity that depends only on
-        parameters at a bound.
+        Parameters
+        ----------
+        gradients : ndarray of shape (n, d)
+            Derivatives of the functions with respect to the parameters.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Standard errors: infinite for a function that a null direction moves, NaN for a function
+            that depends only on parameters at a bound.
         """
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         errors = np.sqrt(np.maximum(variance, 0.0))

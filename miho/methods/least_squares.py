@@ -100,6 +100,19 @@ class LeastSquares(SolverStarts):
     ------
     ValueError
         If a setting is out of its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import miho
+    >>> from miho.methods import LeastSquares
+    >>> def decay(t, a, b):
+    ...     return a * np.exp(-b * t)
+    >>> t = np.linspace(0, 2, 50)
+    >>> bounds = {"a": (0, 5), "b": (0, 10)}
+    >>> fit = miho.fit(decay, t, decay(t, 2, 1.5), bounds, method=LeastSquares(starts=3))
+    >>> round(fit.values["b"], 4)
+    1.5
     """
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:

@@ -111,7 +111,18 @@ class Identified:
         return np.array([value.value for value in self.parameters.values()])
 
     def outside(self, *inputs: Array) -> list[str]:
-        """Return a sentence for each input that leaves the range of the data."""
+        """Find the inputs that leave the range of the data.
+
+        Parameters
+        ----------
+        *inputs : ndarray of shape (N,)
+            Input columns, in the order and units of the model.
+
+        Returns
+        -------
+        list of str
+            A sentence for each such input.
+        """
         sentences = []
         for (name, unit), values in zip(self.model.inputs.items(), inputs, strict=True):
             low, high = self.ranges[name]
@@ -125,9 +136,17 @@ class Identified:
         return sentences
 
     def predict(self, *inputs: Array) -> Array:
-        """Return the output (N,) at input columns (N,).
+        """Evaluate the model; inputs outside the data cause an OutsideDataWarning.
 
-        Inputs outside the data cause an OutsideDataWarning.
+        Parameters
+        ----------
+        *inputs : array_like of shape (N,)
+            Input columns, in the order and units of the model.
+
+        Returns
+        -------
+        ndarray of shape (N,)
+            Output.
         """
         for sentence in self.outside(*inputs):
             text = f"{type(self.model).__name__}: {sentence}; this is extrapolation"

@@ -45,18 +45,63 @@ class AskTell(Resumable[State]):
 
     @abstractmethod
     def init(self, space: Space, rng: np.random.Generator) -> State:
-        """Return the state before the first batch."""
+        """Return the state before the first batch.
+
+        Parameters
+        ----------
+        space : Space
+            Parameters of the run; `space.initial(n)` are the common first configurations.
+        rng : numpy.random.Generator
+            The only source of randomness.
+
+        Returns
+        -------
+        State
+            A picklable object of the method's choice.
+        """
 
     @abstractmethod
     def ask(self, state: State) -> Array:
-        """Return the next batch of configurations in units, (n, d), which must not be modified."""
+        """Return the next batch of configurations.
+
+        Parameters
+        ----------
+        state : State
+            The state, which must not change.
+
+        Returns
+        -------
+        ndarray of shape (n, d)
+            Configurations in units, which the caller does not modify.
+        """
 
     @abstractmethod
     def tell(self, state: State, thetas: Array, losses: Array) -> None:
-        """Advance the state, given the losses (n,) of the batch; +inf marks unusable values."""
+        """Advance the state, given the losses of the batch.
+
+        Parameters
+        ----------
+        state : State
+            The state, which changes.
+        thetas : ndarray of shape (n, d)
+            The batch, in units.
+        losses : ndarray of shape (n,)
+            Its losses; +inf marks unusable values.
+        """
 
     def fidelity(self, state: State) -> float:
-        """Fidelity of the next batch: the fraction of the data to use."""
+        """Fidelity of the next batch: the fraction of the data to use.
+
+        Parameters
+        ----------
+        state : State
+            The state.
+
+        Returns
+        -------
+        float
+            Fraction of the data, in (0, 1]; by default all.
+        """
         return 1.0
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> State:

@@ -31,6 +31,14 @@ def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
     ------
     ConformanceError
         If a check fails.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from miho.testing import check_model
+    >>> from miho.vehicle.models import Pacejka
+    >>> alpha = np.linspace(-0.2, 0.2, 9)
+    >>> check_model(Pacejka(), np.array([[10.0, 1.5, 4000.0, 0.0, 50.0]]), alpha)
     """
     batch = model.predict(thetas, *inputs)
     for theta, row in zip(thetas, batch, strict=True):

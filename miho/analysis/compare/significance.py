@@ -65,7 +65,18 @@ def ranks(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def friedman(scores: pd.DataFrame) -> FriedmanTest:
-    """Friedman's test; raises ValueError for fewer than three methods or two problems."""
+    """Friedman's test; raises ValueError for fewer than three methods or two problems.
+
+    Parameters
+    ----------
+    scores : DataFrame
+        As in `ranks`.
+
+    Returns
+    -------
+    FriedmanTest
+        Friedman's chi-squared and Iman and Davenport's F, each with its p.
+    """
     table = rank_rows(scores)
     problems, methods = table.shape
     if methods < 3 or problems < 2:

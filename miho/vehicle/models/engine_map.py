@@ -193,9 +193,24 @@ class EngineMap:
         return self._monotone(openings, self.speeds, table, learned, corrected)
 
     def torque(self, omega: ArrayLike, throttle: ArrayLike) -> Array:
-        """Return the torque [Nm] at engine speeds [rad/s] and openings, which broadcast.
+        """Return the torque of the map; arguments broadcast.
 
-        Raises ValueError for openings outside [0, 1].
+        Parameters
+        ----------
+        omega : array_like
+            Engine speeds [rad/s].
+        throttle : array_like
+            Openings from 0 to 1.
+
+        Returns
+        -------
+        ndarray
+            Torque [Nm].
+
+        Raises
+        ------
+        ValueError
+            For openings outside [0, 1].
         """
         omega, throttle = np.broadcast_arrays(
             np.asarray(omega, dtype=float), np.asarray(throttle, dtype=float)
@@ -225,12 +240,24 @@ class EngineMap:
         return np.asarray((low <= torque) & (torque <= high))
 
     def throttle(self, omega: ArrayLike, torque: ArrayLike) -> Throttle:
-        """Return the smallest opening that gives the torque [Nm] at engine speeds [rad/s].
+        """Return the smallest opening that gives a torque; arguments broadcast.
 
-        Arguments broadcast. For a torque out of range, the result is the smallest opening with the
-        nearest torque: 0 below engine braking, and 1 above full throttle unless the map is flat
-        there. The residual is |T(omega, opening) - torque|. The map is nearly flat above 80 %
-        throttle, so a small error of the torque causes a large error of the opening.
+        The map is nearly flat above 80 % throttle, so a small error of the torque causes a large
+        error of the opening.
+
+        Parameters
+        ----------
+        omega : array_like
+            Engine speeds [rad/s].
+        torque : array_like
+            Torques [Nm].
+
+        Returns
+        -------
+        Throttle
+            Openings, and the residual |T(omega, opening) - torque| [Nm]. For a torque out of range,
+            the smallest opening with the nearest torque: 0 below engine braking, and 1 above full
+            throttle unless the map is flat there.
         """
         omega, torque = np.broadcast_arrays(
             np.asarray(omega, dtype=float), np.asarray(torque, dtype=float)

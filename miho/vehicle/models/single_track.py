@@ -50,6 +50,14 @@ class SingleTrack:
     ------
     ValueError
         If a parameter is not positive.
+
+    Examples
+    --------
+    >>> from miho.vehicle.models import SingleTrack
+    >>> car = SingleTrack(mass=700.0, lf=1.7, lr=1.3, Izz=900.0)
+    >>> angles = car.slip_angles(vx=30.0, vy=0.0, yaw_rate=0.2, steering=0.03)
+    >>> round(float(angles.front), 4), round(float(angles.rear), 4)
+    (-0.0187, -0.0087)
     """
 
     mass: float
@@ -63,7 +71,22 @@ class SingleTrack:
     def slip_angles(
         self, vx: ArrayLike, vy: ArrayLike, yaw_rate: ArrayLike, steering: ArrayLike
     ) -> FrontRear:
-        """Return the slip angles [rad] of the axles, for forward driving (vx > 0)."""
+        """Return the slip angles of the axles, for forward driving.
+
+        Parameters
+        ----------
+        vx, vy : array_like
+            Velocity of the centre of gravity [m/s], vx > 0.
+        yaw_rate : array_like
+            Yaw rate [rad/s].
+        steering : array_like
+            Angle of the road wheels [rad].
+
+        Returns
+        -------
+        FrontRear
+            Slip angles [rad].
+        """
         vx, vy, yaw_rate = np.asarray(vx), np.asarray(vy), np.asarray(yaw_rate)
         front = np.arctan2(vy + self.lf * yaw_rate, vx) - np.asarray(steering)
         return FrontRear(front, np.asarray(np.arctan2(vy - self.lr * yaw_rate, vx)))
@@ -75,10 +98,24 @@ class SingleTrack:
         steering: ArrayLike,
         bank: ArrayLike = 0.0,
     ) -> FrontRear:
-        """Return the lateral forces [N] of the axles, each in the frame of its wheels.
+        """Return the lateral forces of the axles, each in the frame of its wheels.
 
-        ay is v_y' + v_x r, along the road surface. bank [rad] is positive if the left side is
-        lower, as on a left-hand oval; the weight then contributes m g sin(bank).
+        Parameters
+        ----------
+        ay : array_like
+            v_y' + v_x r, along the road surface [m/s^2].
+        yaw_acceleration : array_like
+            Derivative of the yaw rate [rad/s^2].
+        steering : array_like
+            Angle of the road wheels [rad].
+        bank : array_like, optional
+            Positive if the left side is lower, as on a left-hand oval [rad]; the weight then
+            contributes m g sin(bank).
+
+        Returns
+        -------
+        FrontRear
+            Lateral forces [N].
         """
         lateral = self.mass * (np.asarray(ay) - g * np.sin(bank))
         moment = self.Izz * np.asarray(yaw_acceleration)

@@ -90,6 +90,14 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
     ------
     TirError
         If the file cannot be used; the message has path, line and column.
+
+    Examples
+    --------
+    >>> import miho
+    >>> from miho.vehicle.data import embedded_tire
+    >>> tire = miho.load_tir(embedded_tire("lf"))
+    >>> tire.parameters.version, tire.parameters.FNOMIN
+    ('6.1', 3114.0)
     """
     file, faults = read_lines(os.fspath(path), strict=strict)
     version = _version(file)
