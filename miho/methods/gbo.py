@@ -20,12 +20,13 @@ SIZES = {"N": 1e3, "rad": np.pi / 180, "1/rad": 180 / np.pi}
 
 @dataclass(frozen=True)
 class GBO(Optimizer):
-    """theta <- theta - learning_rate * gradient of the loss, from the first common configuration.
+    """Gradient descent with a constant rate, from the first common configuration.
 
-    All parameters have the same rate, as in the paper (Sec. V-A.3: 5e-12 and 1e-10); steps are
-    projected onto the box. The gradient is 2/N J^T r with the problem's Jacobian, which the oracle
-    charges. Requires a least-squares problem. Not a recommended method: parameters with different
-    scales need different rates.
+    theta <- theta - learning_rate * gradient of the loss. All parameters have the same rate, as in
+    the paper (Sec. V-A.3: 5e-12 and 1e-10); steps are projected onto the box. The gradient is
+    2/N J^T r with the problem's Jacobian, which the oracle charges. The method requires a
+    least-squares problem. It is not recommended: parameters with different scales need different
+    rates.
 
     Parameters
     ----------

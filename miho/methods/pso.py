@@ -31,10 +31,11 @@ class PSOState:
 
 @dataclass(frozen=True)
 class PSO(AskTell[PSOState]):
-    """v <- w v + c1 r1 (own best - x) + c2 r2 (swarm's best - x); x <- x + v.
+    """Particle swarm optimisation (Kennedy and Eberhart, 1995) with an inertia w that falls.
 
-    Particles start at rest at the first common configurations. The run continues until the budget
-    ends, or until a swarm without bounds has diverged.
+    A particle x with velocity v moves by v <- w v + c1 r1 (own best - x) + c2 r2 (swarm's best - x)
+    and x <- x + v. Particles start at rest at the first common configurations. The run continues
+    until the budget ends, or until a swarm without bounds has diverged.
 
     Parameters
     ----------

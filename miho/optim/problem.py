@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class Problem(ABC):
     """Abstract base class of a loss over a box of parameters.
 
-    Subclasses implement `loss`, and set `name` and `space`. The loss of a configuration must not
-    depend on the other configurations of a batch.
+    Subclasses implement `loss`, and set `name` and `space`; `miho.minimize` has an example. The
+    loss of a configuration must not depend on the other configurations of a batch.
 
     Attributes
     ----------
@@ -114,9 +114,9 @@ class Problem(ABC):
 class LeastSquaresProblem(Problem):
     """Abstract base class of a problem whose loss is the mean square of residuals (Eq. 1).
 
-    Subclasses implement `loss`, `residuals` and `jacobian`. With `rows`, the residuals of the first
-    m rows can be computed alone, and a fidelity uses the first rows in the order of the problem. If
-    `rows` is None, every evaluation computes all residuals.
+    Subclasses implement `loss`, `residuals` and `jacobian`; `miho.MIHOGN` has an example. With
+    `rows`, the residuals of the first m rows can be computed alone, and a fidelity uses the first
+    rows in the order of the problem. If `rows` is None, every evaluation computes all residuals.
 
     Attributes
     ----------
@@ -145,10 +145,10 @@ class LeastSquaresProblem(Problem):
 
     @abstractmethod
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Residuals, model minus data, (m,), of one configuration (d,), at a fidelity."""
+        """Residuals (m,), model minus data, at one configuration (d,), of a share of the rows."""
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Residuals (n, m) of several configurations (n, d), over a fidelity of the rows.
+        """Residuals (n, m) at several configurations (n, d), of a share `fidelity` of the rows.
 
         Implement it if several configurations at once are faster; otherwise MIHO calls `residuals`
         for each of them.
