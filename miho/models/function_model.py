@@ -315,7 +315,7 @@ def signature_of(function: Callable[..., Any]) -> tuple[inspect.Signature, str, 
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
-        raise ValueError(f"{function!r} is not a function with a signature") from None
+        raise ValueError(f"{function!r} is not a function with a signature; wrap it") from None
     plain = plain_of(function)
     flags = getattr(getattr(plain, "__code__", None), "co_flags", 0)
     source = bool(flags & __future__.annotations.compiler_flag)

@@ -366,6 +366,7 @@ def _agreeing(stated: Mapping[str, str], groups: Iterable[Mapping[str, str]]) ->
             for unit in (declared, stated.get(name, NO_UNIT)):
                 known = units.get(name, NO_UNIT)
                 if NO_UNIT not in (unit, known) and differ(unit, known):
-                    raise ValueError(f"argument {name} has the units {known!r} and {unit!r}")
+                    both = f"{known!r} and {unit!r}"
+                    raise ValueError(f"argument {name} has the units {both}; give it one unit")
                 units[name] = unit if known == NO_UNIT else known
     return units

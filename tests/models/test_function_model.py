@@ -150,7 +150,7 @@ def test_settings_that_do_not_fit_are_refused(load: Callable[..., Model], tmp_pa
     assert load(DECAY + DECAY.replace("decay", "_own"), function="_own").name == "_own"
     with pytest.raises(FileNotFoundError):
         load_function(str(tmp_path / "none.py"))
-    with pytest.raises(ValueError, match="not a function with a signature"):
+    with pytest.raises(ValueError, match="not a function with a signature; wrap it"):
         FunctionModel(5)  # type: ignore[arg-type]
 
 

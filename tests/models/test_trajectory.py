@@ -478,7 +478,10 @@ def pull(x: Any, *, k: "N/m") -> "N":  # type: ignore[name-defined]  # noqa: F82
         ({"solver": "Euler"}, "solver is 'Euler'; expected one of RK4, Radau, BDF, LSODA"),
         ({"substeps": 0}, "substeps is 0; expected a whole number"),
         ({"quantities": [lambda *, q: q]}, "has the argument q; expected parameters of the model"),
-        ({"units": {"k": "N"}, "outputs": [pull]}, "argument k has the units 'N' and 'N/m'"),
+        (
+            {"units": {"k": "N"}, "outputs": [pull]},
+            "argument k has the units 'N' and 'N/m'; give it one",
+        ),
     ],
 )
 def test_bad_settings_are_named(settings: dict[str, Any], message: str) -> None:
