@@ -132,14 +132,14 @@ def distinct(methods: Iterable[str]) -> dict[str, MethodStyle]:
     figure has.
     """
     styles = styles_of(methods)
-    own = {style.color for style in styles.values()}
-    free = [hue for hue in HUES if hue not in own]
-    taken: dict[str, str] = {}
+    fixed = {style.color for style in styles.values()}
+    free = [hue for hue in HUES if hue not in fixed]
+    assigned: dict[str, str] = {}
     for method in sorted(styles, key=lambda method: styles[method].dashes != SOLID):
         color = styles[method].color
-        wanted = color, _RELATED.get(color, color), *free
-        taken[method] = next((hue for hue in wanted if hue not in taken.values()), color)
-    return {method: replace(style, color=taken[method]) for method, style in styles.items()}
+        preferences = color, _RELATED.get(color, color), *free
+        assigned[method] = next((hue for hue in preferences if hue not in assigned.values()), color)
+    return {method: replace(style, color=assigned[method]) for method, style in styles.items()}
 
 
 MAIN = ("miho_gn", "miho_qn", "miho", "cma_es", "differential_evolution", "optuna_tpe", "pso_500",
@@ -164,7 +164,7 @@ def with_emphasis(
             f"expected some of {', '.join(styles)}"
         )
     if highlight is None:
-        known = set(STYLES) - set(MAIN)
-        highlight = {method for method in styles if method.partition(" ")[0] not in known}
+        secondary = set(STYLES) - set(MAIN)
+        highlight = {method for method in styles if method.partition(" ")[0] not in secondary}
     back = {method: style.muted for method, style in styles.items() if method not in highlight}
     return back | {method: style for method, style in styles.items() if method in highlight}

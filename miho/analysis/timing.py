@@ -85,8 +85,8 @@ def clock_of(runs: pd.DataFrame) -> Clock:
     if (quiet.groupby("problem").mean() > QUIET_SHARE).all():
         whole = valid.groupby([runs["problem"], runs["seed"]]).transform("all")
         comparable = runs[whole]
-        drawn = f"shown are the {len(comparable):,} runs of undisturbed seeds"
-        return Clock("seconds", comparable, disturbed, f"seconds: {disturbed}; {drawn}")
+        scope = f"shown are the {len(comparable):,} runs of undisturbed seeds"
+        return Clock("seconds", comparable, disturbed, f"seconds: {disturbed}; {scope}")
     require_columns(runs, ["cpu_seconds"], "runs")
     return Clock("cpu_seconds", runs, disturbed, f"CPU seconds: {disturbed}")
 

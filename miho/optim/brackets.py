@@ -121,7 +121,7 @@ def draw_starts(
         draws = TURNS[place]
     u = rng.random((n, len(space)))
 
-    def drawn(kind: str, shares: Array) -> Array:
+    def draw(kind: str, shares: Array) -> Array:
         if kind == "own":
             return space.sample(len(shares), rng)
         if kind == "scale":
@@ -131,9 +131,9 @@ def draw_starts(
     if draws == "thirds":
         starts = np.empty_like(u)
         for k, kind in enumerate(KINDS):
-            starts[k :: len(KINDS)] = drawn(kind, u[k :: len(KINDS)])
+            starts[k :: len(KINDS)] = draw(kind, u[k :: len(KINDS)])
     else:
-        starts = drawn(draws, u)
+        starts = draw(draws, u)
     if bracket == 1:
         starts[0] = space.initial(1)[0]
     return starts
@@ -172,9 +172,9 @@ def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Ar
     """
     starts, keys = np.tile(best, (n, 1)), rng.random((n, best.size))
     for group in alike(space):
-        own = keys[:, group]
-        own[::2] = keys[::2, : len(group)]
-        starts[:, group] = best[group][np.argsort(own, axis=1)]
+        group_keys = keys[:, group]
+        group_keys[::2] = keys[::2, : len(group)]
+        starts[:, group] = best[group][np.argsort(group_keys, axis=1)]
         starts[0, group] = best[group[::-1]]
     return np.where((starts == best).all(axis=1, keepdims=True), starts[0], starts)
 

@@ -31,15 +31,15 @@ def credible(
     neither determined nor noise may be a plateau and needs twice as many, by which time starts
     by scale have been drawn from all of DECADES.
     """
-    known, best = state.minima, state.best_minimum
-    determined, noise = bool(known.determined[best]), _leaves_noise(state, oracle)
+    minima, best = state.minima, state.best_minimum
+    determined, noise = bool(minima.determined[best]), _leaves_noise(state, oracle)
     if determined and noise:
         return True
     if agreement.agreeing < MOST * (agreement.finished - oracle.meter.starts.dropped):
         return False
-    if determined and known.loss[best] <= oracle.traits.noise:
+    if determined and minima.loss[best] <= oracle.traits.noise:
         return 2 * agreement.agreeing >= settings.doubtful_brackets
-    plateau = not (determined or noise or at_bound(known.x[best]))
+    plateau = not (determined or noise or at_bound(minima.x[best]))
     enough = agreement.agreeing >= settings.doubtful_brackets * (1 + plateau)
     return enough and oracle.evaluations >= settings.doubtful_cost * state.best_found_after
 
@@ -61,8 +61,8 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
     The test is not needed if the loss alone decides.
     """
     loss = float(state.minima.loss[state.best_minimum])
-    known = in_optimum(loss, state.tested, oracle.traits.resolution)
-    return known or loss > oracle.traits.noise or loss <= oracle.traits.resolution
+    already_tested = in_optimum(loss, state.tested, oracle.traits.resolution)
+    return already_tested or loss > oracle.traits.noise or loss <= oracle.traits.resolution
 
 
 def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:

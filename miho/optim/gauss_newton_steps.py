@@ -241,8 +241,8 @@ class _Phase:
         for column, k in enumerate(box.linear):
             probe = self._probe(theta, k)
             scale = (box.high[k] - box.low[k]) / (probe[k] - theta[k])
-            there = self.oracle.residuals(probe, self.fidelity, goes_on=True)
-            columns[column] = (there - r) * scale
+            probe_residuals = self.oracle.residuals(probe, self.fidelity, goes_on=True)
+            columns[column] = (probe_residuals - r) * scale
         with np.errstate(all="ignore"):
             w.theta[:] = theta
             refold(columns, p, r, m, w)

@@ -132,8 +132,8 @@ class Meter:
     def note(self, cost: float, losses: Array, thetas: Array) -> None:
         """Record the best of some configurations (n, d), unless one is known on as many rows."""
         k = int(np.argmin(losses))
-        known, loss = self.provisional, float(losses[k])
-        if math.isfinite(loss) and (known is None or (cost, -loss) > (known.cost, -known.loss)):
+        best, loss = self.provisional, float(losses[k])
+        if math.isfinite(loss) and (best is None or (cost, -loss) > (best.cost, -best.loss)):
             self.provisional = Provisional(cost, loss, np.array(thetas[k], dtype=float))
 
     def reject(self, reason: str, count: int = 1, at: str = "") -> None:
@@ -143,11 +143,11 @@ class Meter:
         is added to it.
         """
         kind = NUMBER.sub("#", reason)
-        known = [k for k in self.rejected if NUMBER.sub("#", k.split(FIRST)[0]) == kind]
-        if not known:
-            other = len(self.rejected) >= REASONS
-            known = ["other reasons" if other else f"{reason}{FIRST}{at}" if at else reason]
-        self.rejected[known[0]] += count
+        reasons = [k for k in self.rejected if NUMBER.sub("#", k.split(FIRST)[0]) == kind]
+        if not reasons:
+            full = len(self.rejected) >= REASONS
+            reasons = ["other reasons" if full else f"{reason}{FIRST}{at}" if at else reason]
+        self.rejected[reasons[0]] += count
 
 
 @dataclass(frozen=True)

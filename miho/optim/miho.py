@@ -175,8 +175,8 @@ class MIHO(Resumable[MIHOState]):
     ) -> Block:
         """Make at most `most` evaluations in compiled code: whole steps, or one of some rows."""
         evaluations, n = int(most), len(state.P)
-        whole = evaluations >= n and state.row == 0
-        count = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
+        whole_steps = evaluations >= n and state.row == 0
+        count = min(evaluations // n, state.rung.mutations - state.step) if whole_steps else 1
         rows = slice(state.row, min(state.row + evaluations, n))
         steps = Steps(
             state.batch[rows], state.P[rows], state.L[rows], NO_NOISE,

@@ -314,24 +314,24 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """
         if state.challenging:  # it started near the best minimum: a return is no evidence
             return
-        c, known = state.candidates, state.minima
+        c, minima = state.candidates, state.minima
         loss, came_back = float(c.loss[0]), c.stage[0] == AT_KNOWN
         if state.last and c.stage[0] == DONE:
             oracle.starts.add(math.inf, loss, theta=state.theta(c.x[0]))
             return
         near, better = nearness(state.d, state.rows, state.last)
         level_losses = state.level_losses
-        matches = (loss >= (1 - better) * level_losses) & (known.determined == came_back)
+        matches = (loss >= (1 - better) * level_losses) & (minima.determined == came_back)
         if not came_back:
             matches &= loss <= (1 + COPY_LOSS) * level_losses
         places = matches.nonzero()[0]
         if places.size > came_back:  # a single candidate minimum needs no distance
-            distances = square_distances(c, known.x[places], state.box)
+            distances = square_distances(c, minima.x[places], state.box)
             within = came_back | (distances <= near * loss * state.rows)
             places = places[within][np.argsort(distances[within], kind="stable")]
         if places.size:
             nearest = places[0]
-            end, place = float(known.loss[nearest]), state.theta(known.x[nearest])
+            end, place = float(minima.loss[nearest]), state.theta(minima.x[nearest])
             oracle.starts.add(math.inf, end, theta=place)
         else:
             oracle.starts.dropped += 1

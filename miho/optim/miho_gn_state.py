@@ -222,10 +222,10 @@ class MIHOGNState:
 
     def add_minimum(self, c: GNCandidates) -> None:
         """Add the end of the first candidate to the known minima."""
-        loss, known = float(c.loss[0]), self.minima
+        loss, minima = float(c.loss[0]), self.minima
         sums = c.sums[:1] if c.sums[0, -1] > 0 else loss * self.level_rows[None]
-        new = c.x[:1], [loss], sums, [determines(c, self.box, self.rows)]
-        self.minima = Minima(*map(np.concatenate, zip(known, new, strict=True)))
+        minimum = c.x[:1], [loss], sums, [determines(c, self.box, self.rows)]
+        self.minima = Minima(*map(np.concatenate, zip(minima, minimum, strict=True)))
 
 
 @lru_cache(maxsize=256)

@@ -279,13 +279,13 @@ class MIHOQN(Brackets, AskTell[MIHOQNState]):
         cost more than the next bracket.
         """
         state.candidates = c = state.candidates.usable
-        known = at_known(state, c)
-        if not len(c) or known[0]:
+        returns = at_known(state, c)
+        if not len(c) or returns[0]:
             if len(c):
                 self._record_return(state)
             self._close(state)
             return False
-        c = c.take(np.flatnonzero(~known))
+        c = c.take(np.flatnonzero(~returns))
         state.candidates = c.take(distinct(state, c))
         return True
 
@@ -319,8 +319,8 @@ class MIHOQN(Brackets, AskTell[MIHOQNState]):
         stage = int(c.stage[0])
         size = max(abs(c.loss[0]), state.starts.rounding)
         sharp = (diagonal(c.B[:1]) * SHARP**2 > size).any()
-        known = (np.abs(state.minima_losses - c.loss[0]) <= NEAR_LAST * size).any()
-        if (stage == STUCK or (stage == DONE and sharp)) and not (known or state.polished):
+        at_minimum = (np.abs(state.minima_losses - c.loss[0]) <= NEAR_LAST * size).any()
+        if (stage == STUCK or (stage == DONE and sharp)) and not (at_minimum or state.polished):
             centre = state.box.shares(c.z[0])
             state.simplex = Simplex.around(centre, float(c.loss[0]), self.simplex_edge)
             return False

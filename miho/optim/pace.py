@@ -29,9 +29,9 @@ class Pace:
     def update(self, oracle: Oracle) -> None:
         """Record the progress; evaluations from the journal do not count as speed."""
         now, usage = time.monotonic(), oracle.workers.usage
-        known = 0 if usage is None else usage.known
-        if known > self._known:
-            self._known = known
+        from_journal = 0 if usage is None else usage.known
+        if from_journal > self._known:
+            self._known = from_journal
             self._points.clear()
         self._points.append((now, oracle.evaluations))
         while now - self._points[0][0] > LOGGED:

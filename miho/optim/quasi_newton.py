@@ -50,12 +50,12 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
         s = np.minimum(np.maximum(s, lo), hi)
         F &= ~outside
         push = slope + _times(b, s)
-        wrong = ~F & (((s <= lo) & (push < 0)) | ((s >= hi) & (push > 0)))
+        wrong_sign = ~F & (((s <= lo) & (push < 0)) | ((s >= hi) & (push > 0)))
         hit: NDArray[np.bool_] = np.asarray(outside.any(axis=1), bool)
-        wrong &= ~hit[:, None]
-        freed = np.flatnonzero(wrong.any(axis=1))
+        wrong_sign &= ~hit[:, None]
+        freed = np.flatnonzero(wrong_sign.any(axis=1))
         if freed.size:
-            F[freed, np.argmax(np.where(wrong, np.abs(push), -1.0), axis=1)[freed]] = True
+            F[freed, np.argmax(np.where(wrong_sign, np.abs(push), -1.0), axis=1)[freed]] = True
         steps[todo], free[todo] = s, F
         unsolved = hit.copy()
         unsolved[freed] = True

@@ -166,8 +166,8 @@ def _look(c: QNCandidates, rules: QNRules, index: Indices, values: Array) -> Non
     c.loss[index] = c.loss_at_mark[index] = values[:, 0]
     c.measured_at[index] = c.z[index]
     c.guesses[index] = c.failures[index] = 0
-    then = WAIT if rules.screens else np.where(c.has_curvature[index], SLOPE, CURVATURE)
-    c.stage[index] = np.where(np.isfinite(values[:, 0]), then, UNUSABLE)
+    next_stage = WAIT if rules.screens else np.where(c.has_curvature[index], SLOPE, CURVATURE)
+    c.stage[index] = np.where(np.isfinite(values[:, 0]), next_stage, UNUSABLE)
 
 
 def _slope(
@@ -225,15 +225,15 @@ def _propose(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices) -> Non
     low, high = np.maximum(-x, -radius), np.minimum(1 - x, radius)
     step, gain = newton_steps(c.B[index], c.g[index], low, high)
     c.step[index], c.predicted_gain[index] = step, gain
-    least = rules.tolerance * np.abs(c.loss[index])
-    done = (gain <= least) & ((radius[:, 0] > LARGE) | (gain <= 1e-3 * least))
-    lost = ~(gain >= 0)  # a model so narrow that its minimum is rounding
-    ends = done | lost
+    tolerance = rules.tolerance * np.abs(c.loss[index])
+    converged = (gain <= tolerance) & ((radius[:, 0] > LARGE) | (gain <= 1e-3 * tolerance))
+    no_gain = ~(gain >= 0)  # a model so narrow that its minimum is rounding
+    ends = converged | no_gain
     zero = np.abs(c.loss[index]) <= rules.rounding
     age = c.hessian_age[index]
-    unmeasured = rules.measures & (np.isinf(age) | (lost & (age > 0)))
+    unmeasured = rules.measures & (np.isinf(age) | (no_gain & (age > 0)))
     c.stage[index] = np.select(
-        [zero, ends & unmeasured, ends & (c.guesses[index] > 0), lost, done],
+        [zero, ends & unmeasured, ends & (c.guesses[index] > 0), no_gain, converged],
         [DONE, HESSIAN, SLOPE, STUCK, DONE],
         TRIAL,
     )

@@ -163,9 +163,9 @@ class Recorder:
         if self._rows is None:
             return count
         rows = count * self._rows
-        whole = round(rows)
-        near = abs(rows - whole) <= OFF_A_ROW + ROUNDED * rows
-        return whole / self._rows if near else count
+        nearest = round(rows)
+        near = abs(rows - nearest) <= OFF_A_ROW + ROUNDED * rows
+        return nearest / self._rows if near else count
 
     def count_outside(self, thetas: Array) -> None:
         """Count the configurations (n, d) outside the bounds, many at once.

@@ -38,7 +38,7 @@ class UsableValues:
         except Exception as error:  # noqa: BLE001 -- whatever else a model raises is a rejected value
             reason = f"{type(error).__name__}: {error}"
         if len(rows) == 1:
-            self._reject(reason, at=self._named(rows[0]))
+            self._reject(reason, at=self._as_text(rows[0]))
             return np.array([math.inf])
         return np.concatenate([self.losses(row[None], fidelity) for row in rows])
 
@@ -52,7 +52,7 @@ class UsableValues:
             residuals = _real(problem.residuals(read_only(theta), *part))
             return residuals, self._finite(mean_square(residuals)[None])
         except Exception as error:
-            self._reject(f"{type(error).__name__}: {error}", at=self._named(theta))
+            self._reject(f"{type(error).__name__}: {error}", at=self._as_text(theta))
             raise UnusableValueError(str(error)) from error
 
     def residual_rows(self, rows: Array, *part: float) -> tuple[Array, Array]:
@@ -76,7 +76,7 @@ class UsableValues:
                 return jacobian
             reason, at = "derivative is not finite", ""
         except Exception as error:  # noqa: BLE001 -- as for residuals
-            reason, at = f"{type(error).__name__}: {error}", self._named(theta)
+            reason, at = f"{type(error).__name__}: {error}", self._as_text(theta)
         self._reject(reason, at=at)
         raise UnusableValueError(reason)
 
@@ -96,7 +96,7 @@ class UsableValues:
             residuals[k] = values
         return residuals, losses
 
-    def _named(self, theta: Array) -> str:
+    def _as_text(self, theta: Array) -> str:
         """A configuration (d,) as text."""
         values = zip(self._problem.space.names, theta.tolist(), strict=True)
         return ", ".join(f"{name} = {value:.6g}" for name, value in values)

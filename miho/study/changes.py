@@ -32,14 +32,14 @@ def refuse_changes(
     aside, and nothing is deleted; else ResumeRefused is raised.
     """
     outdated = store.outdated(runs.values())
-    old = [(folder, _changes(identity, folder)) for identity, folder in outdated]
+    superseded = [(folder, _changes(identity, folder)) for identity, folder in outdated]
     if overrides is not None:
-        old += other_settings(store.root, overrides, runs)
+        superseded += other_settings(store.root, overrides, runs)
     if fresh:
-        for folder, _ in old:
+        for folder, _ in superseded:
             store.set_aside(folder)
         return
-    counts = Counter(change for _, changes in old for change in changes)
+    counts = Counter(change for _, changes in superseded for change in changes)
     if counts:
         text = ", ".join(f"{change} ({count} runs)" for change, count in counts.items())
         raise ResumeRefused(

@@ -83,9 +83,9 @@ class Runs:
             "method": runs["optimizer"].nunique(),
             "problem": runs["problem"].nunique(),
         }
-        many = ", ".join(f"{n:,} {name}{'s' * (n != 1)}" for name, n in counts.items())
+        contents = ", ".join(f"{n:,} {name}{'s' * (n != 1)}" for name, n in counts.items())
         skipped = f", {len(self.skipped):,} damaged" if self.skipped else ""
-        return f"<Runs in {self.top}: {many}{skipped}; tables: runs, curves, damaged>"
+        return f"<Runs in {self.top}: {contents}{skipped}; tables: runs, curves, damaged>"
 
     @property
     def curves(self) -> pd.DataFrame:

@@ -105,11 +105,11 @@ def missing_runs(root: Path, problem: str | None = None) -> str | None:
     missing, count = without_result(root, problem)
     if not missing:
         return None
-    lost = sum((folder / CURVE).is_file() for folder in missing)
+    incomplete = sum((folder / CURVE).is_file() for folder in missing)
     folders = first_names(sorted(map(str, missing)))
     message = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {folders}"
-    if lost:
-        message += f"; {lost:,} of them lost it, or were killed while they stored it"
+    if incomplete:
+        message += f"; {incomplete:,} of them lost it, or were killed while they stored it"
     return f"{message}; the same sweep runs them again"
 
 

@@ -19,10 +19,10 @@ def check_name(field: str, name: object) -> str:
     """
     if isinstance(name, str) and NAME.fullmatch(name) and not DEVICES.fullmatch(name):
         return name
-    shown = repr(name)
-    shown = shown if len(shown) <= 110 else f"{shown[:110]}..."
+    quoted = repr(name)
+    quoted = quoted if len(quoted) <= 110 else f"{quoted[:110]}..."
     raise ValueError(
-        f"{field} name {shown} cannot name a folder; use letters, digits, '_', '-' and '.', "
+        f"{field} name {quoted} cannot name a folder; use letters, digits, '_', '-' and '.', "
         "at most 100, no '.' at either end and no name of a device like CON"
     )
 

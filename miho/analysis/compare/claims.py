@@ -140,8 +140,8 @@ def _of_paper(
     ]
     runs = runs[~runs["optimizer"].isin(left_out)]
     names = runs["optimizer"].map(lambda name: nearest.get(name, name))
-    named = {nearest.get(name, name): known for name, known in settings.items()}
-    return runs.assign(optimizer=names), named
+    by_method = {nearest.get(name, name): known for name, known in settings.items()}
+    return runs.assign(optimizer=names), by_method
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,12 +64,12 @@ def chosen(present: Collection[str], methods: Methods) -> list[str]:
     present. Raises ValueError for a name without runs.
     """
     names = set(PAPER_METHODS if methods == "paper" else methods)
-    known = {*present, *map(base_name, present)}
-    unknown = sorted(names - known)
-    if (unknown and methods != "paper") or not known & names:
+    available = {*present, *map(base_name, present)}
+    unknown = sorted(names - available)
+    if (unknown and methods != "paper") or not available & names:
         raise ValueError(
             f"methods: there are no runs of {', '.join(unknown)}; "
-            f"expected paper or some of {', '.join(sorted(known))}"
+            f"expected paper or some of {', '.join(sorted(available))}"
         )
     return [name for name in present if name in names or base_name(name) in names]
 

@@ -69,8 +69,8 @@ def plot_rows_over_inputs(rows: pd.DataFrame, x: str, y: str, ax: Axes) -> Axes:
         points = rows[rows["row"] == part]
         ax.scatter(points[x], points[y], linewidths=0, rasterized=True, **style)
     times = rows[rows["row"] == "chosen"].groupby([x, y]).size()
-    where = times.index.to_frame()
-    ax.scatter(where[x], where[y], s=10 * np.sqrt(times), facecolors="none", edgecolors=RED,
+    places = times.index.to_frame()
+    ax.scatter(places[x], places[y], s=10 * np.sqrt(times), facecolors="none", edgecolors=RED,
                linewidths=0.9, label="chosen rows")  # fmt: skip
     ax.set(xlabel=x, ylabel=y)
     return ax
@@ -83,10 +83,10 @@ def plot_narrowing(table: pd.DataFrame, ax: Axes) -> Axes:
     drawn.
     """
     present = table["present half width"]
-    known = np.isfinite(present) & (present > 0)
+    finite = np.isfinite(present) & (present > 0)
     place = [-float(i) for i in range(len(table))]
     expected, evenly = (
-        (100 * table[f"{state} half width"] / present).where(known)
+        (100 * table[f"{state} half width"] / present).where(finite)
         for state in ("expected", "evenly")
     )
     ax.hlines(place, expected, 100, color=PALE, linewidth=1.5, zorder=1)
@@ -96,8 +96,8 @@ def plot_narrowing(table: pd.DataFrame, ax: Axes) -> Axes:
     ax.scatter(expected, place, s=18, color=BLUE, label="with chosen rows")
     for at, row in zip(place, table.to_dict("records"), strict=True):
         if np.isinf(row["present half width"]):
-            after = np.isfinite(row["expected half width"])
-            ax.text(3, at, "determined for the first time" if after else "not determined",
+            determined = np.isfinite(row["expected half width"])
+            ax.text(3, at, "determined for the first time" if determined else "not determined",
                     va="center", fontsize=7, color=GREY)  # fmt: skip
     ax.set_yticks(place, table["quantity"])
     ax.set(xlim=(0, 105), xlabel="half width [% of the present one]")

@@ -292,10 +292,10 @@ def lap_figure(laps: pd.DataFrame, table: pd.DataFrame, *, note: str = "") -> Fi
         panels[0].set_yticks(range(len(table)), table["variant"].astype(str))
         panels[0].invert_yaxis()
         explanation = "points: seeds; bars: mean and 95 % bootstrap interval"
-        lost = table[table["finished"] < table["seeds"]]
+        unfinished = table[table["finished"] < table["seeds"]]
         fates = ", ".join(
             f"{row.variant}: {row.finished} of {row.seeds} laps finished"
-            for row in lost.itertuples()
+            for row in unfinished.itertuples()
         )
         caption(figure, explanation, fates, note)
     return figure

@@ -254,8 +254,8 @@ def plot_error_over(
             at[running], low[running], high[running], color=style.color, alpha=0.13, linewidth=0
         )
         ax.plot(at[running], mean[running], label=style.name, zorder=layer, **style.line)
-        rest = slice(running.stop - 1, None)
-        ax.plot(at[rest], mean[rest], color=style.color, linewidth=0.6, zorder=layer)
+        after_end = slice(running.stop - 1, None)
+        ax.plot(at[after_end], mean[after_end], color=style.color, linewidth=0.6, zorder=layer)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
     if grid[-1] < SHORT * grid[0]:  # labels such as 2 x 10^-3 would overlap
         plain_log_ticks(ax.xaxis)

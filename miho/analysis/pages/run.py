@@ -121,8 +121,8 @@ def figures_of(report: Report) -> dict[str, bytes]:
     predicted = model.predict(report.at.theta[None], *problem.inputs)[0]
     # Parts of a joint problem and outputs have colors, so their columns need no panels.
     parts = rows_of_parts(model, problem.inputs)
-    shown = "output" if parts else dataset.output
-    measured = Column(shown, problem.unit, dataset[dataset.output])
+    label = "output" if parts else dataset.output
+    measured = Column(label, problem.unit, dataset[dataset.output])
     hidden = {dataset.output, PART, OUTPUT} if parts else {dataset.output}
     if isinstance(problem.sigma, str) and len(np.unique(dataset[problem.sigma])) <= len(parts):
         hidden.add(problem.sigma)

@@ -65,8 +65,8 @@ def contents(
 ) -> Contents:
     """The contents for the runs of a root; `made_by` names the program that writes the page."""
     comparison = Comparison.of(sweep.runs, sweep.curves, root)
-    whole = Comparison(sweep.runs, sweep.curves, 0, (), "")
-    compared = comparison if comparison is not None and len(comparison.runs) else whole
+    all_runs = Comparison(sweep.runs, sweep.curves, 0, (), "")
+    compared = comparison if comparison is not None and len(comparison.runs) else all_runs
     sentences = list(warnings)
     missing = 0 if comparison is None else comparison.missing
     if missing:
@@ -74,7 +74,7 @@ def contents(
         sentences.insert(0, text)
     board = claims = None
     try:
-        board = _leaderboard(compared, None if compared is whole else configured)
+        board = _leaderboard(compared, None if compared is all_runs else configured)
         claims = None if missing else _claims(compared)
     except ValueError as error:
         sentences.append(f"A table is missing: {error}.")

@@ -132,9 +132,9 @@ def _malformed(runs: pd.DataFrame) -> list[str]:
 
     Only the error of a run without a finite value may be NaN.
     """
-    right = runs["error"].map(lambda value: isinstance(value, Real)).astype(bool)
+    valid = runs["error"].map(lambda value: isinstance(value, Real)).astype(bool)
     for column in FINITE:
-        right &= runs[column].map(lambda v: isinstance(v, Real) and math.isfinite(v)).astype(bool)
+        valid &= runs[column].map(lambda v: isinstance(v, Real) and math.isfinite(v)).astype(bool)
     for column in WORDS:
-        right &= runs[column].map(lambda value: isinstance(value, str)).astype(bool)
-    return [str(folder) for folder in runs["folder"][~right]]
+        valid &= runs[column].map(lambda value: isinstance(value, str)).astype(bool)
+    return [str(folder) for folder in runs["folder"][~valid]]
