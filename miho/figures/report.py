@@ -85,8 +85,8 @@ def fit_figure(
 ) -> Figure:
     """Data and fit: over an input `x` with the curve's `band` (x, curve, half width).
 
-    Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal; rows
-    of each of the `parts` (N,) of a joint problem have a separate color.
+    Without `x`, measured over predicted values (N,): the points of a perfect model are on the
+    diagonal. Rows of each of the `parts` (N,) of a joint problem have a separate color.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")

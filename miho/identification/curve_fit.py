@@ -328,7 +328,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @property
     def called_as(self) -> list[list[bool | None]]:
-        """How trial calls have shown that the model's functions are to be called."""
+        """Results of the trial calls of the model's functions: how to call each of them."""
         from miho.models.leaves import tried_calls
 
         return tried_calls(self.model)

@@ -43,7 +43,7 @@ class TrackerSettings(OnlineMethod):
     smooth : float, optional
         Memory of the mean and variance of inputs with noise [s].
     hold : float, optional
-        Time after an alarm in which there is no other [s].
+        Time after an alarm before another one can follow [s].
     repeats : int, optional
         An output that repeats this number of times to the last digit is frozen.
     gap : float, optional
@@ -63,9 +63,9 @@ class TrackerSettings(OnlineMethod):
     settle : float, optional
         Time in which this further drift decays [s].
     wrong : float, optional
-        Probability that the inputs of a row are wrong after ones that are. The odds of a change
-        rise by at most one over it in a row. A smaller one gives a quicker alarm, but then fewer
-        wrong rows in succession look like a change.
+        Probability that the inputs of a row are wrong after a row with wrong inputs. One row
+        multiplies the odds of a change by at most its reciprocal. With a smaller value the alarm is
+        quicker, but fewer wrong rows in succession look like a change.
 
     Raises
     ------

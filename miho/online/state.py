@@ -59,7 +59,7 @@ class Alarm:
     others : tuple of Alarm, optional
         Further parameters with a significant change at the same time.
     suspects : tuple of str, optional
-        Parameters one or more of which have changed, if no single one is significant.
+        Parameters of which at least one has changed, if no single change is significant.
 
     Examples
     --------

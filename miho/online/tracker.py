@@ -34,10 +34,10 @@ RECENT = 2.0
 class Tracker(Running):
     """Parameters of a model that change while rows arrive, with intervals and an alarm.
 
-    A population of hypotheses, each of which is an estimate with its covariance and its time of
-    birth, is improved by one Gauss-Newton step per row and weighted by its predictive likelihood.
-    Fresh hypotheses are born from the best one with the variance of a jump, so a jump is found
-    within a few rows. The alarm is the odds of the hypotheses born since the last alarm.
+    The tracker has a population of hypotheses: estimates with a covariance and a time of birth. One
+    Gauss-Newton step per row improves each of them, and its predictive likelihood is its weight.
+    Fresh hypotheses begin at the best one with the variance of a jump, so the tracker finds a jump
+    within a few rows. The alarm follows the odds of the hypotheses born since the last alarm.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class Tracker(Running):
 
     @property
     def change(self) -> Alarm | None:
-        """The last alarm with the estimates of now, which know its size better; None before it."""
+        """The last alarm with the present estimates, which give its size better; None before it."""
         if self._change is None:
             return None
         change, at = self._change

@@ -236,7 +236,7 @@ class Traits:
 
 
 def part_of(fidelity: float) -> tuple[float, ...]:
-    """Arguments for a fidelity; none for all rows, of which a problem need not know fidelities."""
+    """Arguments for a fidelity; none for all rows, as a problem need not have that argument."""
     return () if fidelity == 1.0 else (fidelity,)
 
 

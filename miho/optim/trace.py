@@ -175,8 +175,8 @@ class Starts:
     def agreement(self, best: float) -> Agreement:
         """Agreement of the ends of the finished descents on the run's `best` loss.
 
-        A method may stop if it is `enough`. If the best loss is not at an end of a descent, no
-        descent agrees with it.
+        A method may stop if the agreement is `enough`. If the best loss is not at an end of a
+        descent, no descent agrees with it.
         """
         return agreement(self.ends, self.rounding, best=best, dropped=self.dropped)
 

@@ -118,7 +118,7 @@ def number_of(workers: Any) -> int:
 
 
 class Pool:
-    """Workers that call shared functions, each of which is sent to a worker once.
+    """Workers that call shared functions; each function is sent to a worker once.
 
     Parameters
     ----------

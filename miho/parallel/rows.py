@@ -1,4 +1,4 @@
-"""Functions of parameter rows, of which a row that raises affects no other row."""
+"""Functions of parameter rows: a row that raises does not affect the other rows."""
 
 from __future__ import annotations
 

@@ -212,9 +212,8 @@ def plot_error_over(
 ) -> Axes:
     """Mean error of each method over the axis, with a band from the 10 % to the 90 % quantile.
 
-    Both scales are logarithmic. After the last row of a method's runs the line continues thin: the
-    answer is kept, but nothing runs. Runs without rows are unknown here: see
-    `tidy.with_silent_runs`.
+    Both scales are logarithmic. After the last row of a method's runs its line continues thin, at
+    the final value. Runs without rows are unknown here: see `tidy.with_silent_runs`.
 
     Parameters
     ----------
