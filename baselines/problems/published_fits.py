@@ -136,6 +136,12 @@ def load_published(name: str) -> Dataset:
     ------
     ValueError
         For an unknown name.
+
+    Examples
+    --------
+    >>> from baselines.problems import load_published
+    >>> load_published("misra1a")
+    <Dataset misra1a: 14 rows; columns: y [-], x [-]; output: y>
     """
     return published_fit(name).dataset
 
@@ -157,6 +163,12 @@ def zero_residuals(rows: int) -> Dataset:
     ------
     ValueError
         If `rows` is less than one.
+
+    Examples
+    --------
+    >>> from baselines.problems import zero_residuals
+    >>> zero_residuals(2)["row"].tolist()
+    [1.0, 2.0]
     """
     whole("rows", rows, 1)
     columns = {"y": np.zeros(rows), "row": np.arange(1.0, rows + 1)}

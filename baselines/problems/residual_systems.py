@@ -40,6 +40,14 @@ class ResidualSystem(Model):
     ------
     ValueError
         If there is no such system, or the length is below 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from baselines.problems import ResidualSystem
+    >>> system = ResidualSystem("rosenbrock", 2)
+    >>> system.predict(system.start[None], np.array([1.0, 2.0])).round(6).tolist()
+    [[-4.4, 2.2]]
     """
 
     system: str
@@ -79,12 +87,38 @@ class ResidualSystem(Model):
         return {f"x{number}": "-" for number in range(1, self.length + 1)}
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Residuals (n, N) of parameter rows (n, d) in the rows (N,)."""
+        """Residuals at parameter rows.
+
+        Parameters
+        ----------
+        thetas : ndarray of shape (n, d)
+            Parameter rows.
+        *inputs : ndarray of shape (N,)
+            Numbers of the residuals, from 1: the column `row`.
+
+        Returns
+        -------
+        ndarray of shape (n, N)
+            Residuals.
+        """
         (row,) = inputs
         return self._residuals(thetas)[:, row.astype(int) - 1]
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the residuals in the rows (N,), (N, d), at one configuration (d,)."""
+        """Derivatives of the residuals at one configuration.
+
+        Parameters
+        ----------
+        theta : ndarray of shape (d,)
+            Parameters.
+        *inputs : ndarray of shape (N,)
+            Numbers of the residuals, from 1: the column `row`.
+
+        Returns
+        -------
+        ndarray of shape (N, d)
+            Derivatives.
+        """
         (row,) = inputs
         moved = theta + 1j * STEP * np.eye(theta.size)
         return np.asarray(self._residuals(moved).imag.T[row.astype(int) - 1] / STEP)
