@@ -24,7 +24,7 @@ class PublishedFit:
     title : str
         Description and source.
     collection : str
-        The collection that contains the problem: nist, mgh or bw.
+        The collection that contains the problem: nist, mgh, bw, r or dg.
     model : str
         The formula's name in `PublishedModel`.
     starts : tuple of tuple of float
