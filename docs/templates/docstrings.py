@@ -35,7 +35,7 @@ class Markdown(griffe.Extension):
 def head(found: re.Match[str]) -> str:
     """The first line of an entry of a section Parameters."""
     names = found[1].replace(", ", ",\u2009")
-    if not found[2]:
+    if found[2] in (None, "optional"):  # the signature has the types
         return names
     types = found[2].removesuffix(", optional")
     if types.startswith("{"):
