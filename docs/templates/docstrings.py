@@ -11,7 +11,9 @@ REWRITES = (
     (r"^(\w+) : (?=[A-Z].*\.$)", r"* `miho.\1`: "),  # an entry of See Also
     (r"`(miho\.[\w.]+)`", r'<autoref identifier="\1" optional><code>\1</code></autoref>'),
 )
-PARAMETERS = re.compile(r"(?<=^Parameters\n----------\n).*?(?=\n\n\S|\Z)", re.DOTALL | re.MULTILINE)
+PARAMETERS = re.compile(
+    r"(?<=^(?:Parameters|Attributes)\n----------\n).*?(?=\n\n\S|\Z)", re.DOTALL | re.MULTILINE
+)
 HEAD = re.compile(r"^([*\w][*\w, ]*?)(?: : (.+))?$", re.MULTILINE)
 
 
@@ -33,7 +35,7 @@ class Markdown(griffe.Extension):
 
 
 def head(found: re.Match[str]) -> str:
-    """The first line of an entry of a section Parameters."""
+    """The first line of an entry of a section Parameters or Attributes."""
     names = found[1].replace(", ", ",\u2009")
     if found[2] in (None, "optional"):  # the signature has the types
         return names
