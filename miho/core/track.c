@@ -415,6 +415,7 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
         if (i >= d) continue;
         int enough = information_of(of, rules, to, s, i) >= rules->number[USE] * at->peak[i];
         to->is_free[i] = enough || rules->watched[i] == 0.0;
+        if (!enough) to->grown[s * d + i] = 0.0; /* drift is a belief while rows teach nothing */
         to->teaches[s] |= enough && rules->watched[i] > 0.0;
         to->taught[i] = 0.0;
     }
@@ -439,10 +440,10 @@ static void learn(const track_sizes *of, population *at, const rules_of *rules, 
         if (is_best && kept < OVER) to->again |= to->began & 1ull << c;
     }
     for (int64_t i = 0; i < d; i++) {
-        double *share = at->share + s * d + i, grown = to->grown[s * d + i];
+        double *share = at->share + s * d + i;
         double taught = to->taught[i] > 0.0 ? to->taught[i] : 0.0;
         taught = taught < 1.0 ? taught : 1.0;
-        *share *= (1.0 - (grown < taught ? grown : taught)) * (1.0 - taught);
+        *share *= (1.0 - to->grown[s * d + i]) * (1.0 - taught);
         *share += taught;
     }
     if (is_best) at->number[GAIN] = information;

@@ -229,7 +229,8 @@ class Population:
         watched = rules.watched > 0
         informs = (information[best] >= rules.use * self.peak) & watched
         counts = bool(informs.any() or not watched.any())
-        free = (information >= rules.use * self.peak) | ~watched
+        enough = information >= rules.use * self.peak
+        free, grown = enough | ~watched, np.where(enough, grown, 0.0)
         outliers = np.zeros(n, dtype=bool)
         for s in living:
             if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
@@ -242,7 +243,7 @@ class Population:
             )
             if not counts:
                 self.weight[s] = weights[s]
-            self.share[s] *= (1 - np.minimum(grown[s], taught)) * (1 - taught)
+            self.share[s] *= (1 - grown[s]) * (1 - taught)
             self.share[s] += taught
             if s == best:
                 self["gain"], outliers = gain, shares[:n] < OVER
@@ -388,7 +389,8 @@ class Population:
     def _estimate(self, numbers: Array) -> None:
         """Write mean, covariance and distribution of the parameters.
 
-        The drift of a long memory is a way to forget, not a belief: its variance counts by `share`.
+        The drift of a long memory is a way to forget, not a belief: its variance counts by `share`,
+        which lacks the drift except while rows teach a parameter nothing.
         """
         mean, covariance, mixture = self.layout.estimate(numbers)
         mixture.weights[:] = np.exp(self.weight) / np.exp(self.weight).sum()

@@ -85,6 +85,30 @@ def test_without_drift_and_changes_it_is_least_squares() -> None:
     np.testing.assert_allclose(np.diff(state.intervals())[:, 0] / 2, reach, rtol=1e-5)
 
 
+@pytest.mark.parametrize("by_machine", [True, False])
+def test_the_interval_has_the_variance_of_the_error_until_rows_are_idle(by_machine: bool) -> None:
+    """Most rows teach less than the drift adds, which forgets and is no belief; idle rows grow."""
+    rng = np.random.default_rng(1)
+    x = np.append(np.tile([1.0, *9 * [0.3]], 30), 50 * [0.01])
+    y = 2 * x + SIGMA * rng.standard_normal(350)
+    slope: Any = lambda x, *, a: a * x  # noqa: E731
+    long: dict[str, Any] = {"drifts": 3 * (0.05,), "outliers": NO_OUTLIERS}
+    run = Tracker(problem_of(slope, x=x, y=y), {"a": (2.0, 0.5)}, {}, **long)
+    if not by_machine:
+        run._population._machine = None
+    state = run.update({"x": x[:300], "y": y[:300]})
+    error = variance = 0.5**2
+    for k in range(300):
+        variance += (k > 0) * (0.05 * 0.5) ** 2 * 0.02
+        gain = variance * x[k] / (variance * x[k] ** 2 + SIGMA**2)
+        error = (1 - gain * x[k]) ** 2 * error + gain**2 * SIGMA**2
+        variance *= 1 - gain * x[k]
+    assert error < 0.6 * variance
+    assert state.intervals()[0, 1] - state.theta[0] == pytest.approx(1.96 * error**0.5, rel=1e-4)
+    idle = run.update({"x": x[300:], "y": y[300:]})
+    assert idle.deviations[0] > 1.2 * state.deviations[0]
+
+
 def test_with_drift_it_is_the_kalman_filter() -> None:
     rng = np.random.default_rng(2)
     x = rng.uniform(0.5, 1, 80)
