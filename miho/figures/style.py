@@ -14,7 +14,7 @@ COLORS = (
     "#ca9161", "#fbafe4", "#949494", "#ece133", "#56b4e9",
 )  # fmt: skip
 """Seaborn's palette "colorblind"."""
-BLUE, ORANGE, GREEN, RED = COLORS[:4]
+BLUE, ORANGE, GREEN, RED, PURPLE = COLORS[:5]
 
 
 def house_style() -> AbstractContextManager[None]:

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from miho.analysis.figures.driving import ALARM, AMBER, DASHED, in_kmh
 from miho.analysis.figures.house import caption, legend_above, new_figure
-from miho.figures.style import BLUE, GREEN
+from miho.figures.style import BLUE, GREEN, PURPLE
 
-COLORS = {"the offline value": ALARM, "the tracker": BLUE, "the oracle": GREEN}
+COLORS = {"the offline value": PURPLE, "the tracker": BLUE, "the oracle": GREEN}
 """Colours of drivers by their source of the friction."""
 
 
