@@ -46,5 +46,5 @@ class InformativeRows:
     @property
     def rows(self) -> Array:
         """The rows, in order of their last number, the time."""
-        kept = self._rows[np.isfinite(self._keys)]
-        return np.asarray(kept[np.argsort(kept[:, -1], kind="stable")])
+        rows = self._rows[np.isfinite(self._keys)]
+        return np.asarray(rows[np.argsort(rows[:, -1], kind="stable")])

@@ -219,11 +219,11 @@ class StepRows:
         block = np.vstack([self._last, block])
         self._last = block[-1:]
         step = np.diff(block[:, 0])
-        one = (step > 0) & (step <= self.longest)
-        now, after = block[:-1][one].T, block[1:][one].T
+        joined = (step > 0) & (step <= self.longest)
+        now, after = block[:-1][joined].T, block[1:][joined].T
         ends = {name + NEXT: column for name, column in zip(self.names, after[1:], strict=True)}
         starts = dict(zip(self.names, now[1:], strict=True))
-        return {TIME: after[0], STEP: step[one], **starts, **ends}
+        return {TIME: after[0], STEP: step[joined], **starts, **ends}
 
 
 def _trajectory(problem: CurveFit) -> Trajectory:

@@ -77,7 +77,7 @@ class System:
     @cached_property
     def inputs(self) -> Mapping[str, str]:
         """Units of the input columns of all outputs."""
-        return {name: unit for one in self.outputs for name, unit in one.model.inputs.items()}
+        return {name: unit for output in self.outputs for name, unit in output.model.inputs.items()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,18 +87,18 @@ class System:
     @cached_property
     def sigma(self) -> Array:
         """Standard deviation of the errors of each output."""
-        return np.array([one.sigma for one in self.outputs])
+        return np.array([output.sigma for output in self.outputs])
 
     def states(self, noisy: Collection[str]) -> tuple[str, ...]:
         """The inputs with noise whose values one step later are outputs, as `vy` and `vy_next`."""
-        names = [one.column.removesuffix(NEXT) for one in self.outputs]
+        names = [output.column.removesuffix(NEXT) for output in self.outputs]
         later = zip(names, self.outputs, strict=True)
-        return tuple(name for name, one in later if name != one.column and name in noisy)
+        return tuple(name for name, output in later if name != output.column and name in noisy)
 
     def with_first(self, states: Collection[str]) -> System:
         """Return the same system whose first outputs are these states one step later."""
         later = {state + NEXT for state in states}
-        outputs = sorted(self.outputs, key=lambda one: one.column not in later)
+        outputs = sorted(self.outputs, key=lambda output: output.column not in later)
         return replace(self, outputs=tuple(outputs))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.core import machine
+from miho.online.hypothesis import LARGEST_NOISE, SMALLEST, Hypothesis
 from miho.online.rules import PLACE, Layout, Rules
 from miho.online.slopes import RowFormula, TapedFormula
 from miho.online.state import Change
@@ -20,17 +21,10 @@ from miho.quantities import Array
 EMPTY = -1e9
 """Logarithm of the weight of a slot without a hypothesis."""
 LEAST_WEIGHT = -1e6
-SMALLEST = 1e-300
-LARGEST_NOISE = 1e6
-"""Largest factor by which a suspected outlier is less certain, as one over its share of inliers."""
-BEYOND = 1e150
-"""Errors and deviations whose squares leave the range of doubles."""
 MOST_TRACKED = 64
 """Largest number of hypotheses, parameters, outputs or inputs in the machine, as in track.h."""
 OVER = 0.01
 """Share of the drift of a fresh hypothesis, or of an inlier, that no longer counts."""
-TOGETHER = 0.5
-"""Probability that an output is an outlier if another one of the row is."""
 RISE = 1.02
 """Largest rise of a parameter's best information by one row: a wrong input must not set it."""
 
@@ -68,6 +62,10 @@ class Population:
         self.measured = views["measured"]
         d, self.unit = layout.d, np.append(rules.unit, rules.noise[: layout.n])
         self.parameters, self.variances = self.theta[:, :d], self.P[:, :d, :d]
+        self.hypotheses = [
+            Hypothesis(*each, self.unit, d, rules)
+            for each in zip(self.theta, self.P, self.weight[:, None], strict=True)
+        ]
         sizes = layout.K, d, layout.m, layout.p, layout.q, layout.n
         able = by_machine and max(sizes) <= MOST_TRACKED
         tape = formula.tape.in_machine if isinstance(formula, TapedFormula) and able else None
@@ -197,16 +195,9 @@ class Population:
         began = np.asarray(x[: self.layout.n] != self.measured)
         began |= bool(np.isfinite(self.measured[began]).any())
         for c in np.flatnonzero(began).tolist():
-            for s in range(self.layout.K):
-                self._set_state(s, c, row[c], (noise[c] / self.rules.noise[c]) ** 2)
+            for hypothesis in self.hypotheses:
+                hypothesis.set_state(c, row[c], (noise[c] / self.rules.noise[c]) ** 2)
         return began
-
-    def _set_state(self, s: int, c: int, value: float, variance: float) -> None:
-        """Set the state c of hypothesis s to a measured value."""
-        k = self.layout.d + c
-        self.theta[s, k] = value
-        self.P[s, k] = self.P[s, :, k] = 0.0
-        self.P[s, k, k] = variance
 
     def _learn(
         self, living: NDArray[np.intp], grown: Array, row: Array, noise: Array, y: Array
@@ -236,17 +227,17 @@ class Population:
             if not (np.isfinite(slopes.values[:, s]).all() and np.isfinite(J[:, s]).all()):
                 self.weight[s] += math.log(SMALLEST)
                 for c in range(n):
-                    self._set_state(s, c, self.measured[c], 1.0)
+                    self.hypotheses[s].set_state(c, self.measured[c], 1.0)
                 continue
-            taught, gain, shares = self._correct(
-                s, slopes.values[:, s], J[:, s], noisy[:, s], free[s], y
+            taught, gain, inliers = self.hypotheses[s].correct(
+                slopes.values[:, s], J[:, s], noisy[:, s], free[s], y
             )
             if not counts:
                 self.weight[s] = weights[s]
             self.share[s] *= (1 - grown[s]) * (1 - taught)
             self.share[s] += taught
             if s == best:
-                self["gain"], outliers = gain, shares[:n] < OVER
+                self["gain"], outliers = gain, inliers[:n] < OVER
         # Rows with wrong inputs may fit a change alone, so a row says only so much.
         most = self.weight[best] - weights[best] - math.log(rules.wrong)
         self.weight[living] = np.minimum(self.weight[living], weights[living] + most)
@@ -259,76 +250,6 @@ class Population:
             self.peak[:] = np.maximum(self.peak, raised)
             informs = (information >= self.rules.use * self.peak) & (information > 0)
             self.informed[informs] = self["clock"]
-
-    def _correct(
-        self, s: int, values: Array, J: Array, noisy: Array, free: NDArray[np.bool_], y: Array
-    ) -> tuple[Array, float, Array]:
-        """Steps by all outputs, states last.
-
-        Returns the shares taught (d,), the information, and the share (m,) of the inlier of each
-        output. `noisy` is the variance (m, q) of each output by the noise of each input.
-        """
-        d, n, theta, P = self.layout.d, self.layout.n, self.theta[s], self.P[s]
-        own, others = self.rules.sigma**2, noisy[:, n:].sum(axis=1)
-        before, total, taught, shares = theta.copy(), 0.0, np.zeros(d), np.ones(y.size)
-        able = np.append(free, np.full(n, True))
-        for o in (*range(n, y.size), *range(n)):
-            if o == 0 < n:
-                self._advance(s, values, J, before, others)
-            if math.isnan(y[o]):
-                continue
-            worth = float(J[o, :d] @ P[:d, :d] @ J[o, :d]) / (own[o] + noisy[o].sum())
-            if o < n:
-                j, r, e = self.unit * (np.arange(d + n) == d + o), own[o], y[o] - theta[d + o]
-            else:
-                j, r = J[o], own[o] + others[o]
-                e = y[o] - values[o] - j @ ((theta - before) / self.unit)
-            together = max(float(shares.min()), 1 / LARGEST_NOISE)
-            kept, each = self._step(s, e, j, r, able, together)
-            shares[o], total, taught = kept, total + kept * worth, taught + each
-            if o < n:  # with an outlier, value or prediction is wrong: half way between
-                most = 2 * math.sqrt(self.rules.width * r)
-                half = min(max(0.5 * e, -most), most)
-                theta[d + o] += (1 - kept) * half
-                P[d + o, d + o] += (1 - kept) * half**2 / self.unit[d + o] ** 2
-        return np.clip(taught, 0.0, 1.0), total, shares
-
-    def _step(
-        self, s: int, e: float, j: Array, r: float, able: NDArray[np.bool_], together: float
-    ) -> tuple[float, Array]:
-        """One Gauss-Newton step; returns the share of the inlier and the shares taught (d,)."""
-        rules, d, P, theta = self.rules, self.layout.d, self.P[s], self.theta[s]
-        Pj = P @ j
-        S = float(j @ Pj) + r
-        wide = S + rules.width * r
-        # An impossible error says nothing; nor does a step without a number.
-        if not (abs(e) < LARGEST_NOISE * math.sqrt(wide) and LARGEST_NOISE * wide < BEYOND**2):
-            self.weight[s] += math.log(SMALLEST)
-            return 0.0, np.zeros(d)
-        share = rules.outliers * together + TOGETHER * (1 - together)
-        inlier = (1 - share) * math.exp(-0.5 * e * e / S) / math.sqrt(S)
-        outlier = share * math.exp(-0.5 * e * e / wide) / math.sqrt(wide)
-        self.weight[s] += math.log(inlier + outlier + SMALLEST)
-        kept = max(inlier / (inlier + outlier + SMALLEST), 1 / LARGEST_NOISE)
-        S /= kept
-        gain = np.where(able, Pj / S, 0.0)
-        theta += self.unit * gain * e
-        theta[:d] = np.clip(theta[:d], rules.low, rules.high)
-        variances = np.maximum(P.diagonal()[:d], SMALLEST)
-        taught = (gain * (2 * Pj - S * gain))[:d] / variances
-        P += S * np.outer(gain, gain) - np.outer(gain, Pj) - np.outer(Pj, gain)
-        return kept, taught
-
-    def _advance(self, s: int, values: Array, J: Array, before: Array, others: Array) -> None:
-        """Move the states to the end of the row; `others` is the variance (m,) by other inputs."""
-        d, n, theta, P = self.layout.d, self.layout.n, self.theta[s], self.P[s]
-        theta[d:] = values[:n] + J[:n] @ ((theta - before) / self.unit)
-        onward = J[:n] / self.unit[d:, None]
-        carried = onward @ P
-        own = carried @ onward.T
-        P[d:, :d], P[:d, d:], P[d:, d:] = carried[:, :d], carried[:, :d].T, own
-        more = self.rules.step_error**2 + others[:n] / self.unit[d:] ** 2
-        P[np.arange(d, d + n), np.arange(d, d + n)] += more
 
     def _judge(self, living: NDArray[np.intp]) -> tuple[int, int]:
         """Weigh a change against none; returns the best hypothesis, and the best of no change."""
@@ -365,7 +286,7 @@ class Population:
         self.theta[slot], self.P[slot], self.share[slot] = self.theta[best], self.P[best], 1.0
         self.variances[slot].flat[:: self.layout.d + 1] += rules.watched
         for c in range(self.layout.n):
-            self._set_state(slot, c, self.measured[c], 1.0)
+            self.hypotheses[slot].set_state(c, self.measured[c], 1.0)
         self.calm[slot] = rules.middle if self["turn"] % 2 else rules.long
         self.drift[slot] = self.calm[slot] + rules.burst
         self.born[slot], self.weight[slot] = self["row"], math.log(rules.hazard)

@@ -80,12 +80,12 @@ class Layout:
 
     def views(self, memory: Array) -> dict[str, Array]:
         """The arrays as views of a memory."""
-        made, at = {}, 0
+        arrays, at = {}, 0
         for name, shape in self.shapes.items():
             count = math.prod(shape)
-            made[name] = memory[at : at + count].reshape(shape)
+            arrays[name] = memory[at : at + count].reshape(shape)
             at += count
-        return made
+        return arrays
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,17 +98,17 @@ class ModelFormula(RowFormula):
     def __post_init__(self) -> None:
         places = [
             (
-                [self.names.index(name) for name in one.parameters],
-                [self.columns.index(name) for name in one.model.inputs],
+                [self.names.index(name) for name in output.parameters],
+                [self.columns.index(name) for name in output.model.inputs],
             )
-            for one in self.outputs
+            for output in self.outputs
         ]
         object.__setattr__(self, "_places", places)
 
     def at(self, thetas: Array, rows: Array) -> Slopes:
         """Return outputs and derivatives at configurations (K, d) and their inputs (K, p)."""
         K, m, q = len(thetas), len(self.outputs), self.noise.size
-        made = Slopes(np.empty((m, K)), np.zeros((m, K, thetas.shape[1])), np.zeros((m, K, q)))
+        slopes = Slopes(np.empty((m, K)), np.zeros((m, K, thetas.shape[1])), np.zeros((m, K, q)))
         for k, (theta, row) in enumerate(zip(thetas, rows, strict=True)):
             near = np.tile(row, (1 + 2 * q, 1))  # the row, and its neighbours on both sides
             for i in range(q):
@@ -119,11 +119,11 @@ class ModelFormula(RowFormula):
             ):
                 columns = [np.ascontiguousarray(near[:, i]) for i in inputs]
                 values = output.model.predict(theta[None, own], *columns)[0]
-                made.values[o, k] = values[0]
-                made.inputs[o, k] = (values[1::2] - values[2::2]) / (2 * self.noise)
+                slopes.values[o, k] = values[0]
+                slopes.inputs[o, k] = (values[1::2] - values[2::2]) / (2 * self.noise)
                 single = [column[:1] for column in columns]
-                made.parameters[o, k, own] = output.model.jacobian(theta[own], *single)[0]
-        return made
+                slopes.parameters[o, k, own] = output.model.jacobian(theta[own], *single)[0]
+        return slopes
 
 
 def row_formula(system: System, columns: Sequence[str], noise: Array) -> RowFormula:

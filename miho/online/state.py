@@ -76,7 +76,7 @@ class Alarm:
     suspects: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        each = " and ".join(one.size for one in (self, *self.others))
+        each = " and ".join(alarm.size for alarm in (self, *self.others))
         return f"{each} at {self.time:.1f} s"
 
     def with_names(self, name: Callable[[str], str]) -> Alarm:
@@ -101,8 +101,8 @@ class Alarm:
         return replace(
             self,
             parameter=None if self.parameter is None else name(self.parameter),
-            others=tuple(one.with_names(name) for one in self.others),
-            suspects=tuple(name(one) for one in self.suspects),
+            others=tuple(alarm.with_names(name) for alarm in self.others),
+            suspects=tuple(name(suspect) for suspect in self.suspects),
         )
 
     @property
@@ -267,9 +267,10 @@ def mixture_reach(centre: Array, mixture: Mixture, level: float) -> Array:
 
 def reach_by_numpy(centre: Array, mixture: Mixture, level: float) -> Array:
     """Half widths (d,) by bisection, as in the machine, which knows probabilities to 1e-7."""
-    kept = mixture.weights > NEGLIGIBLE
-    weights = mixture.weights[kept, None] / mixture.weights[kept].sum()
-    away, deviations = mixture.means[kept] - centre, np.maximum(mixture.deviations[kept], SMALLEST)
+    counted = mixture.weights > NEGLIGIBLE
+    weights = mixture.weights[counted, None] / mixture.weights[counted].sum()
+    away = mixture.means[counted] - centre
+    deviations = np.maximum(mixture.deviations[counted], SMALLEST)
     low, high = np.zeros(centre.size), np.max(np.abs(away) + FAR * deviations, axis=0)
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
