@@ -22,10 +22,12 @@ if not __package__:  # as python experiments/compare.py, like python -m experime
     sys.path[0] = str(Path(__file__).parents[1])
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from experiments.app.comparing import draw, note_on_size, planned_arena
 from experiments.app.console import OK, EndedError, command
+from experiments.app.explain import ConfigError
 from experiments.app.launch import Sweep, typed
 from experiments.app.plan import sweep_settings
 from experiments.app.run_text import print_summary
@@ -44,11 +46,23 @@ SETTINGS = {
 
 def compare(cfg: DictConfig) -> None:
     """Run an arena (every method on every problem for each repetition), then draw and judge it."""
+    if HydraConfig.get().mode is RunMode.MULTIRUN:
+        raise ConfigError(
+            "hydra/launcher: makes no comparison; leave it out, or write python -m "
+            "experiments.identify -m experiment=compare and then python -m experiments.figures fig6"
+        )
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
     words = typed(HydraConfig.get())
     settings = sweep_settings(cfg.sweep)
     plan, note = planned_arena(cfg, overrides)
-    runs = run(plan, settings, fresh=cfg.fresh, overrides=words, tracking=cfg.tracking)
+    runs = run(
+        plan,
+        settings,
+        fresh=cfg.fresh,
+        command="experiments.compare",
+        overrides=words,
+        tracking=cfg.tracking,
+    )
     if settings.dry_run:
         print_summary(runs.states)
         return

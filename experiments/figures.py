@@ -26,6 +26,7 @@ from experiments.app.drawing import (
     draw_engine,
     draw_tires,
 )
+from experiments.app.safety import check_folder
 
 OPTIONS = ("root", "output", "optimizer", "methods", "problem")
 """Options that may be written as --root PATH or as root=PATH."""
@@ -54,6 +55,9 @@ def main() -> None:
         "--methods", metavar="NAME,NAME", help="for fig6: paper, or names of methods (all)"
     )
     parser.add_argument("--problem", help="for fig6, if the root holds runs on several problems")
+    parser.add_argument(
+        "--config-dir", type=Path, metavar="FOLDER", help="for arena: folder of your own problems"
+    )
     arguments = parser.parse_args(as_options(sys.argv[1:], OPTIONS))
     usual = {"fig6": "compare", "arena": "arena"}.get(arguments.name, "identify")
     root = arguments.root or Path("runs", usual)
@@ -66,7 +70,9 @@ def main() -> None:
         if arguments.name == "fig6":
             paths = draw_comparison(root, output, methods=methods, problem=arguments.problem)
         elif arguments.name == "arena":
-            paths = draw_arena(root, output)
+            if arguments.config_dir is not None:
+                check_folder(arguments.config_dir)
+            paths = draw_arena(root, output, arguments.config_dir)
         else:
             draw = {"fig4": draw_tires, "fig4_right": draw_axle, "fig5": draw_engine}
             paths = draw[arguments.name](root, output, arguments.optimizer)

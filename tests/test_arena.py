@@ -21,7 +21,7 @@ from experiments.app.configured import as_configured
 from experiments.app.console import SOME_FAILED
 from experiments.app.drawing import draw_arena, read_comparison
 from experiments.app.execution import execution_of
-from experiments.app.options import source
+from experiments.app.options import CONF, source
 from experiments.app.plan import Request
 from experiments.app.runs import PlanOutcome
 from experiments.app.schema import register
@@ -203,6 +203,17 @@ def test_a_corrected_optimum_counts_and_another_problem_keeps_its_own(tmp_path: 
     store(tmp_path / "other", *once, "dataset.seed=1")
     other = as_configured(load_runs(tmp_path / "other").runs)
     assert other["optimum"].tolist() == pytest.approx([1234])
+
+
+def test_an_arena_reads_the_problems_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "problem").mkdir()
+    text = (CONF / "problem" / "brake_static.yaml").read_text().replace("brake_static", "mine")
+    text = text.replace("\nproblem:", "\nproblem:\n  family: ours")
+    (tmp_path / "problem" / "mine.yaml").write_text(text)
+    store(tmp_path, "problem=brake_static", "problem.name=mine", "budget.evaluations=100")
+    runs = load_runs(tmp_path).runs
+    assert as_configured(runs)["family"].tolist() == ["mine"]
+    assert as_configured(runs, tmp_path)["family"].tolist() == ["ours"]
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ from experiments.app.execution import result_line
 from miho import load_runs
 from miho.parallel.usage import Usage
 from miho.study import Status
-from miho.study.manifest import sweep_overrides
+from miho.study.manifest import sweep_commands
 from miho.study.store import read_run
 from tests.faults.misbehaviour import MODEL
 
@@ -425,7 +425,7 @@ def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Pat
     code, out, err = identify(*chosen, "-m", "seed=0,1")
     assert code == 0, err
     assert out.splitlines()[-1] == "2 runs: 1 ran, 1 done before"
-    ((folder, *_),) = sweep_overrides(tmp_path / "runs")
+    ((_, _, _, _, folder, *_),) = sweep_commands(tmp_path / "runs")
     assert Path(folder.removeprefix("--config-dir=")).resolve() == own
     # What the hint says can be typed, and reports on the runs of a model that is code in a file.
     (hint,) = (line for line in out.splitlines() if line.startswith("how far to trust"))
@@ -543,13 +543,21 @@ def test_completion(identify: Command, tmp_path: Path, typed: str, completed: li
         ("comparison.repetitions=0", "error: comparison.repetitions: is 0"),
         ("comparison.processes=2", "error: comparison.processes: is now sweep.workers"),
         ("comparison.problems=[]", "error: experiment: compares nothing; choose one that sweeps"),
+        ("experiment=compare comparison.problems=[tire_lf]", "error: comparison.problems: is for"),
+        ("experiment=compare comparison.repetitions=2", "error: comparison.repetitions: is for an"),
+        ("-m", "error: comparison.problems: is for an arena, and this is a sweep; start an arena "),
+        ("-m hydra/launcher=basic", "error: hydra/launcher: makes no comparison; leave it out, or"),
+        ("experiment=torque_gap problem=torque_05", "error: problem=torque_05: is about dataset=t"),
     ],
 )
 def test_what_a_comparison_cannot_combine_is_refused(
     compare: Command, override: str, message: str
 ) -> None:
-    code, _, err = compare("experiment=arena_small", override)
+    words = override.split()
+    arena = [] if words[0].startswith("experiment=") else ["experiment=arena_small"]
+    code, out, err = compare(*arena, *words)
     assert code == 2
+    assert out == ""
     assert err.splitlines()[-1].startswith(message)
 
 

@@ -237,6 +237,17 @@ def test_problems(
     assert max(record.loss, (cfg.problem.resolution or 0.0) ** 2) > optimum * (1 - 2e-9)
 
 
+def test_another_problem_has_no_recorded_optimum() -> None:
+    same = composed(["problem=torque_05", "experiment=compare", "dataset.seed=0"])
+    assert same.problem.optimum == composed(["problem=torque_05"]).problem.optimum > 0
+    assert same.model._target_.endswith("TorqueCubic")
+    for other in ("dataset.n=300", "space.B.high=30", "loss=huber", "problem.sigma=400"):
+        assert composed(["problem=tire_lf", other]).problem.optimum is None, other
+    assert composed(["problem=tire_lf", "dataset.n=300", "problem.optimum=9"]).problem.optimum == 9
+    with pytest.raises(ConfigError, match=r"is about dataset=tire_lf, but .* dataset=tire_rf"):
+        composed(["problem=tire_lf", "dataset=tire_rf"])
+
+
 def test_the_known_optimum_of_exact_data_is_their_resolution() -> None:
     """A loss of zero is none that a method could come near by a factor."""
     cfg = composed(["problem=mgh_gulf_starts"])

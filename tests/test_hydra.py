@@ -29,7 +29,7 @@ from miho.data import Dataset
 from miho.models import Model
 from miho.optim import Optimizer
 from miho.study import StoredRun
-from miho.study.manifest import sweep_overrides
+from miho.study.manifest import sweep_commands
 from miho.study.store import read_run
 
 ROOT = Path(__file__).parent.parent
@@ -173,8 +173,8 @@ def test_each_job_of_a_sweep_leaves_hydras_record(typed: Typed, tmp_path: Path) 
 def test_the_record_of_a_sweep_in_its_root_has_the_sweeper(typed: Typed, tmp_path: Path) -> None:
     params = "hydra.sweeper.params={seed: 'range(2)'}"
     assert typed("-m", params, f"hydra.sweep.dir={tmp_path}", "sweep.workers=1").code == 0
-    (words,) = sweep_overrides(tmp_path / "runs")
-    assert words == [*TINY, f"root={tmp_path / 'runs'}", f"++{params}"]
+    (words,) = sweep_commands(tmp_path / "runs")
+    assert words[4:] == [*TINY, f"root={tmp_path / 'runs'}", f"++{params}"]
 
 
 @pytest.mark.slow

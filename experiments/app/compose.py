@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+import yaml
 from hydra import compose, initialize_config_dir
+from hydra.conf import HydraConf
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig, open_dict
@@ -21,10 +24,16 @@ from experiments.app.explain import (
     replace_spaces,
 )
 from experiments.app.options import CONF as CONF
+from experiments.app.options import source
 
 VERSION_BASE = "1.3"
 PLUGINS = Path(__file__).parents[1] / "plugins"
 """Folder of our plugins: Hydra finds them in packages `hydra_plugins` on the path of Python."""
+
+DEFINING = {"model", "dataset", "space", "loss", "problem", "experiment"}
+"""First words of overrides that may change the smallest error of a problem."""
+CHANGING = ("sigma", "sigma_known", "parts", "local", "constraints")
+"""Settings of a problem that change its loss or its space."""
 
 if str(PLUGINS) not in sys.path:
     sys.path.append(str(PLUGINS))
@@ -40,6 +49,11 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         return _copied(tuple(overrides))
     with initialize_config_dir(str(CONF), version_base=VERSION_BASE):
         return _copied(tuple(overrides))
+
+
+def searching(folder: Path | None) -> list[str]:
+    """Overrides that let `composed` find the options of a further folder; none without it."""
+    return [] if folder is None else [f"hydra.searchpath=[{json.dumps(str(folder.resolve()))}]"]
 
 
 def option_folders() -> list[Path]:
@@ -63,15 +77,17 @@ def _once(overrides: tuple[str, ...], search_path: tuple[str, ...]) -> DictConfi
         config = compose("config", replace_spaces(overrides), return_hydra_config=True)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ConfigError(composition_message(error, overrides)) from error
-    return job_config(config, config.hydra.runtime.choices)
+    return job_config(config, config.hydra)
 
 
-def job_config(config: DictConfig, choices: Mapping[str, str | None]) -> DictConfig:
-    """Copy `config` without its node `hydra`, and add the name of its method.
+def job_config(config: DictConfig, node: HydraConf) -> DictConfig:
+    """Remove the node `hydra` from `config`, and add the name of its method; `node` is that node.
 
     Unless `method` gives the name, it is the chosen option of the group `optimizer` without its
-    folder. Raises ConfigError if `method` is the name of another option.
+    folder. Raises ConfigError if `method` is the name of another option, and if a problem is chosen
+    with another dataset than its own. A problem with other settings has no recorded optimum.
     """
+    choices = node.runtime.choices
     option = (choices.get("optimizer") or "").rpartition("/")[2] or None
     with open_dict(config):
         config.pop("hydra", None)
@@ -83,4 +99,30 @@ def job_config(config: DictConfig, choices: Mapping[str, str | None]) -> DictCon
             f"method={name}: only names the runs, which are of {option}; write optimizer={name} to "
             "choose a method, or give another name"
         )
+    keys = {text.lstrip("+~").partition("=")[0] for text in node.overrides.task} - {"problem"}
+    if choices.get("problem") and not DEFINING.isdisjoint(key.partition(".")[0] for key in keys):
+        _check_problem(config, node)
     return config
+
+
+def _check_problem(config: DictConfig, node: HydraConf) -> None:
+    """Refuse another dataset than the chosen problem's, and forget its optimum if it is another.
+
+    It is another with any other setting that the smallest error depends on.
+    """
+    name, dataset = node.runtime.choices["problem"], node.runtime.choices["dataset"]
+    text = yaml.safe_load(source("problem", name, option_folders())) or {}
+    own: dict[str, str] = {}
+    for item in text.get("defaults", ()):
+        own |= item if isinstance(item, dict) else {}
+    if own.get("override /dataset", dataset) != dataset:
+        raise ConfigError(
+            f"problem={name}: is about dataset={own['override /dataset']}, but the command or its "
+            f"experiment chooses dataset={dataset}; choose a dataset without problem={name}"
+        )
+    places = [text for text in node.overrides.hydra if text.startswith("hydra.searchpath=")]
+    recorded = composed([f"problem={name}", *places])
+    is_same = all(config[key] == recorded[key] for key in DEFINING - {"experiment", "problem"})
+    is_same &= all(config.problem[key] == recorded.problem[key] for key in CHANGING)
+    if not is_same and config.problem.optimum == recorded.problem.optimum:
+        config.problem.optimum = None

@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app import schema
 from experiments.app.build import HELD, recorded_optimum
-from experiments.app.compose import composed, option_folders
+from experiments.app.compose import composed, option_folders, searching
 from experiments.app.options import options_of
 from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
@@ -20,22 +20,23 @@ PROBLEM_PARTS = ("model", "dataset", "space", "loss")
 """Nodes that define a problem, and hence its optimum."""
 
 
-def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
+def as_configured(runs: pd.DataFrame, folder: Path | None = None) -> pd.DataFrame:
     """Add the current `optimum` of conf/problem and the columns `family` and `cut` to `runs`.
 
     An optimum is not part of a run's identity, so a stored one may have been corrected since. Runs
     with another model, dataset, space or loss than conf/problem, or that it does not name, keep the
-    stored optimum. Inside a command the problems of its --config-dir count too. If a problem has a
-    resolution, smaller errors and optima are set to it. `cut` is true if a run used up its seconds
-    before its evaluations and did not converge.
+    stored optimum. Problems of `folder`, and inside a command of its --config-dir, count too. If a
+    problem has a resolution, smaller errors and optima are set to it. `cut` is true if a run used
+    up its seconds before its evaluations and did not converge.
     """
     schema.register()
+    folders = [*option_folders(), *([] if folder is None else [folder])]
     pieces = []
     for name, on_problem in runs.groupby("problem", sort=False):
         stored = read_run(Path(on_problem["folder"].iloc[0]))
         family = str(name)
-        if family in options_of("problem", option_folders()):
-            cfg = composed([f"problem={family}"])
+        if family in options_of("problem", folders):
+            cfg = composed([f"problem={family}", *searching(folder)])
             family = cfg.problem.family or family
             optimum = recorded_optimum(cfg)
             if optimum is not None and _is_same(stored, cfg):

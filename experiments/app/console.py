@@ -114,7 +114,7 @@ class Job:
         context = HydraConfig.get()
         alone = context.mode is RunMode.RUN
         try:
-            return self.task(job_config(cfg, context.runtime.choices))
+            return self.task(job_config(cfg, context))
         except (*BAD_INPUT_ERRORS, OSError, ResumeRefused, EndedError) as error:
             if alone:
                 raise _Refused from error

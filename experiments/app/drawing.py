@@ -29,7 +29,7 @@ from miho.analysis.variants import base_name, named_apart
 from miho.data import Dataset
 from miho.study import StoredRun, load_runs, read_run
 from miho.study.index import without_runs
-from miho.study.manifest import missing_runs, sweep_overrides, without_result
+from miho.study.manifest import missing_runs, sweep_commands, without_result
 from miho.study.provenance import IDENTITY, command_line, write_provenance
 from miho.vehicle.driving.assembly.engine import DATASETS, engine_of, fig5_data
 from miho.vehicle.models import Axle
@@ -62,14 +62,15 @@ def read_comparison(root: Path) -> Comparison:
     return comparison
 
 
-def draw_arena(root: Path, output: Path) -> list[Path]:
+def draw_arena(root: Path, output: Path, folder: Path | None = None) -> list[Path]:
     """Draw all tables and figures of the last arena below `root`, and print the tables.
 
-    Raises ConfigError if the arena is too small for its tests.
+    Problems are in conf/, in the command's --config-dir, and in `folder`. Raises ConfigError if the
+    arena is too small for its tests.
     """
     comparison = read_comparison(root)
     try:
-        results = ArenaResults.of(replace(comparison, runs=as_configured(comparison.runs)))
+        results = ArenaResults.of(replace(comparison, runs=as_configured(comparison.runs, folder)))
     except TooFewError as error:
         raise ConfigError(f"{root}: {error}") from None
     text, paths = write_arena(results, output)
@@ -187,8 +188,7 @@ def _made_by(root: Path, runs: pd.DataFrame) -> list[str]:
     declared = Comparison.of(runs, runs, root)
     if declared is not None and len(declared.runs) == len(runs):
         return [" ".join(declared.command)]
-    identify = ["python", "-m", "experiments.identify", "-m"]
-    return [shlex.join([*identify, *words]) for words in sweep_overrides(root)]
+    return [shlex.join(words) for words in sweep_commands(root)]
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:

@@ -28,6 +28,13 @@ from experiments.app.working import State
 
 SWEEPER = ("hydra/sweeper", "hydra.sweeper")
 """Beginnings of overrides that choose the jobs of a sweep."""
+IN_A_SWEEP = {
+    "problems": "problem=NAME",
+    "methods": "optimizer=NAME,NAME",
+    "repetitions": "'seed=range(5)'",
+    "target": "budget.target=LOSS",
+}
+"""Settings of an arena, and an override of a sweep that takes their place."""
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
 """Keys of the seed and of the execution, which do not describe the setting of a run."""
 
@@ -75,6 +82,7 @@ def launch(
             "hydra/launcher=pool: works only with experiments.identify and experiments.compare; "
             "choose hydra/launcher=basic here"
         )
+    _refuse_arena(config)
     jobs = [_job(number, texts) for number, texts in enumerate(job_overrides, first)]
     if not jobs:
         within = (
@@ -83,7 +91,7 @@ def launch(
         ) * any("glob(" in text for text in config.hydra.overrides.task)
         raise ConfigError(f"-m: has no values to sweep over; give some, such as seed=0,1{within}")
     if task.sweep is None:
-        cfg = job_config(_copied(config), config.hydra.runtime.choices)
+        cfg = job_config(_copied(config), config.hydra)
         task.sweep = Sweep(cfg, typed(config.hydra))
     sweep, checked = task.sweep, sweep_settings(settings)
     task.composing.cancel()
@@ -91,7 +99,12 @@ def launch(
     plan = _planned(jobs, composed, checked.time_limit)
     _announce(jobs, composed, context, task)
     outcome = run(
-        plan, checked, fresh=config.fresh, overrides=sweep.typed, tracking=config.tracking
+        plan,
+        checked,
+        fresh=config.fresh,
+        command=f"experiments.{task.__name__}",
+        overrides=sweep.typed,
+        tracking=config.tracking,
     )
     sweep.plan += plan
     sweep.states += outcome.states
@@ -102,6 +115,18 @@ def launch(
         _returned(job, error, composed[job.setting], context)
         for job, error in zip(jobs, errors, strict=True)
     ]
+
+
+def _refuse_arena(config: DictConfig) -> None:
+    """Raise ConfigError for a setting of an arena, which a sweep would ignore."""
+    words = [text.lstrip("+").partition("=")[0] for text in config.hydra.overrides.task]
+    for key, instead in IN_A_SWEEP.items():
+        name = f"comparison.{key}"
+        if name in words or (key == "problems" and config.comparison[key]):
+            raise ConfigError(
+                f"{name}: is for an arena, and this is a sweep; start an arena with python -m "
+                f"experiments.compare experiment=arena_small, or write {instead} here"
+            )
 
 
 def _job(number: int, texts: Sequence[str]) -> _Job:
@@ -134,7 +159,7 @@ def _planned(
     planned: dict[int, Request] = {}
 
     def plan(setting: tuple[str, ...], config: DictConfig, lose: bool) -> None:
-        cfg = job_config(_copied(config), config.hydra.runtime.choices)
+        cfg = job_config(_copied(config), config.hydra)
         here = [job for job in jobs if job.setting == setting]
         seeds = [cfg.seed if job.seed is None else job.seed for job in here]
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))

@@ -23,7 +23,7 @@ def options_of(group: str, folders: Sequence[Path] = (CONF,)) -> list[str]:
     names = {
         str(path.relative_to(folder / group).with_suffix(""))
         for folder in folders
-        for path in (folder / group).rglob("*.yaml")
+        for path in (folder / group).rglob("[!.]*.yaml")
     }
     return sorted(names.union(recorded() if group == "problem" and CONF in folders else ()))
 

@@ -38,7 +38,7 @@ from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Status, Store
 from miho.study.changes import refuse_changes
 from miho.study.files import RESULT
-from miho.study.manifest import first_names, write_manifest
+from miho.study.manifest import IDENTIFY, first_names, write_manifest
 
 HERE = 0
 """Number of worker processes if the runs are executed in this process."""
@@ -67,6 +67,7 @@ def run(
     *,
     here: bool = False,
     fresh: bool = False,
+    command: str = IDENTIFY,
     overrides: Sequence[str] = (),
     tracking: Mapping[str, Any] = MappingProxyType({}),
 ) -> PlanOutcome:
@@ -77,7 +78,7 @@ def run(
     After the first signal the active runs save their progress and stop, and the returned states
     describe all runs. With `here` the runs are executed in this process. Otherwise, if
     `settings.workers` is the address of a cluster, the runs are executed there; if the cluster is
-    lost, the states say which runs are to do.
+    lost, the states say which runs are to do. `command` is the module of a sweep, for its record.
 
     Raises ResumeRefused if stored runs used other code, data or settings. At the end finished runs
     are sent to the tracker of `tracking`, unless a signal stopped the runs.
@@ -91,7 +92,7 @@ def run(
     if settings.timed and fresh:
         set_aside_disturbed(unique)
     at_once: int | str = HERE if here else settings.workers
-    _refuse_and_list(unique, overrides, fresh=fresh, in_process=here)
+    _refuse_and_list(unique, command, overrides, fresh=fresh, in_process=here)
     try:
         try:
             _do(unique, settings, at_once, runs.states)
@@ -118,7 +119,12 @@ def set_aside_disturbed(plan: Sequence[Request]) -> None:
 
 
 def _refuse_and_list(
-    plan: Sequence[Request], overrides: Sequence[str], *, fresh: bool, in_process: bool
+    plan: Sequence[Request],
+    command: str,
+    overrides: Sequence[str],
+    *,
+    fresh: bool,
+    in_process: bool,
 ) -> None:
     """Raise ResumeRefused if stored runs used other code, data or settings.
 
@@ -129,7 +135,7 @@ def _refuse_and_list(
         words = None if in_process else overrides
         refuse_changes(Store(Path(root)), identities, fresh=fresh, overrides=words)
         if not in_process:
-            write_manifest(Path(root), overrides, identities)
+            write_manifest(Path(root), overrides, identities, command)
 
 
 def _do(

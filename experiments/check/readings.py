@@ -188,7 +188,8 @@ def main() -> None:
         overrides = [] if arguments.root is None else [f"root={arguments.root}"]
         cfg = composed([EXPERIMENT, *overrides])
         todo = list(plan(arguments.repetitions, overrides))
-        outcome = run(todo, replace(sweep_settings(cfg.sweep), workers=arguments.workers))
+        settings = replace(sweep_settings(cfg.sweep), workers=arguments.workers)
+        outcome = run(todo, settings, command="experiments.check.readings")
         outcome.raise_if_stopped()
         if any(state.error is None and state.reason is not None for state in outcome.states):
             print("runs are missing; nothing is judged, run again", file=sys.stderr)

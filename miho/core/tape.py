@@ -104,16 +104,21 @@ def machine() -> Any:
 
 
 def checksum() -> int | None:
-    """The checksum of the sources in C, None if there are none to read; `setup.py` has the same.
-
-    Hidden files, for example an editor's locks, and line endings do not count.
-    """
-    sources = sorted(Path(__file__).parent.glob("[!.]*.[ch]"))
+    """The checksum of the sources in C, None if there are none to read; `setup.py` has the same."""
     try:
-        texts = [path.read_bytes().replace(b"\r\n", b"\n") for path in sources]
+        texts = c_sources(Path(__file__).parent).values()
     except OSError:
         return None
     return zlib.crc32(b"".join(texts)) if texts else None
+
+
+def c_sources(folder: Path) -> dict[str, bytes]:
+    """Texts of the C files in a folder by name.
+
+    Hidden files, for example an editor's locks, and line endings do not count.
+    """
+    paths = sorted(folder.glob("[!.]*.[ch]"))
+    return {path.name: path.read_bytes().replace(b"\r\n", b"\n") for path in paths}
 
 
 @dataclass(frozen=True, eq=False)

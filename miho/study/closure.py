@@ -20,6 +20,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from miho.core.tape import c_sources
 from miho.study.files import write_bytes
 from miho.study.meaning import meaning_of
 
@@ -53,14 +54,16 @@ class Sources:
     def digest(self, modules: Iterable[str]) -> str:
         """SHA-256 over the names and the meaning of these modules and their import closure.
 
-        C files in the same folders are included as bytes.
+        C files in the same folders are included, without hidden files and whatever their line
+        endings.
         """
         digest, closure = hashlib.sha256(), self._closure(modules)
         for name, module in sorted(closure.items()):
             digest.update(f"\0{name}\0{module.meaning}".encode())
         folders = {module.folder for module in closure.values()}
-        for path in sorted(path for folder in folders for path in folder.glob("*.[ch]")):
-            digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
+        for folder in sorted(folders):
+            for name, text in c_sources(folder).items():
+                digest.update(f"\0{name}\0".encode() + text)
         return digest.hexdigest()
 
     def closure(self, modules: Iterable[str]) -> list[str]:

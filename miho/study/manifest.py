@@ -26,8 +26,13 @@ SHOWN = 3
 """Number of names that a message lists."""
 
 
-def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]) -> None:
-    """Write the settings of a sweep's runs, given by overrides and identity."""
+IDENTIFY = "experiments.identify"
+
+
+def write_manifest(
+    root: Path, overrides: Sequence[str], runs: Mapping[str, Identity], command: str = IDENTIFY
+) -> None:
+    """Write the settings of a sweep's runs, given by overrides and identity, and its module."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
     parts: dict[str, int] = {}  # numbers by the text of each distinct value
@@ -41,7 +46,7 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
         place = [identity.problem, identity.optimizer, identity.id]
         entries[words] = {"place": place, "config": numbers[id(identity.config)]}
     values = {"parts": [*map(json.loads, parts)], "configs": [*map(json.loads, configs)]}
-    about = {"overrides": list(overrides), **values, "runs": entries}
+    about = {"command": command, "overrides": list(overrides), **values, "runs": entries}
     write_text(path, canonical(about) + "\n")
 
 
@@ -50,14 +55,16 @@ def _number(value: Any, numbers: dict[str, int]) -> int:
     return numbers.setdefault(canonical(value), len(numbers))
 
 
-def sweep_overrides(root: Path) -> list[list[str]]:
-    """Overrides of each sweep that wrote into a root, the oldest sweep first."""
+def sweep_commands(root: Path) -> list[list[str]]:
+    """Words of the command of each sweep that wrote into a root, the oldest sweep first."""
     paths = sorted((root / MANIFESTS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
     sweeps = []
     for path in paths:
         with contextlib.suppress(OSError, *MALFORMED):
             about = decoded(read_bytes(str(path), LARGEST))
-            sweeps.append([str(word) for word in about["overrides"]])
+            command = str(about.get("command", IDENTIFY))
+            multirun = ["-m"] if command == IDENTIFY else []
+            sweeps.append(["python", "-m", command, *multirun, *map(str, about["overrides"])])
     return sweeps
 
 

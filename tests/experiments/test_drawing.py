@@ -22,7 +22,7 @@ from experiments.app.run_text import table_text
 from experiments.app.schema import register
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store
-from miho.study.manifest import sweep_overrides, write_manifest
+from miho.study.manifest import sweep_commands, write_manifest
 from miho.testing import DecayFit
 from tests.analysis.synthetic import frames
 
@@ -156,7 +156,10 @@ def test_options_may_be_written_as_overrides_are() -> None:
 
 
 def test_the_sweeps_of_a_root_are_known_by_their_overrides(tmp_path: Path) -> None:
-    assert sweep_overrides(tmp_path) == []
+    assert sweep_commands(tmp_path) == []
     write_manifest(tmp_path, ["optimizer=miho", "seed=0,1"], {})
     (tmp_path / ".sweeps" / "broken.json").write_text("{")
-    assert sweep_overrides(tmp_path) == [["optimizer=miho", "seed=0,1"]]
+    command = "experiments.identify -m optimizer=miho seed=0,1"
+    assert sweep_commands(tmp_path) == [["python", "-m", *command.split()]]
+    write_manifest(tmp_path, ["seed=0"], {}, "experiments.compare")
+    assert sweep_commands(tmp_path)[1] == ["python", "-m", "experiments.compare", "seed=0"]

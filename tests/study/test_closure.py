@@ -82,6 +82,23 @@ def test_one_constant_of_what_it_uses_may_not(
         assert Sources(roots, cache=cache).digest(RUN) != before
 
 
+def test_hidden_c_files_and_line_endings_change_no_digest(
+    roots: dict[str, Path], cache: Path, before: str
+) -> None:
+    """An editor's lock is a hidden link to nothing, and Git may write lines for Windows."""
+    header = roots["miho"] / "core" / "elementary.h"
+    text, hidden = header.read_bytes(), [header.with_name(x) for x in (".#a.h", "._a.c")]
+    try:
+        hidden[0].symlink_to("nothing")
+        hidden[1].write_bytes(b"\0")
+        header.write_bytes(text.replace(b"\n", b"\r\n"))
+        assert Sources(roots, cache=cache).digest(RUN) == before
+    finally:
+        header.write_bytes(text)
+        for path in hidden:
+            path.unlink(missing_ok=True)
+
+
 def test_what_was_read_is_kept_and_never_of_another_text(
     roots: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
