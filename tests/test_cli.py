@@ -61,6 +61,7 @@ def _command(
     main: Callable[[], None],
 ) -> Command:
     def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("experiments.app.console.SILENT", 3600.0)
         monkeypatch.setattr(sys, "argv", ["command", *arguments, f"root={tmp_path / 'runs'}"])
         with pytest.raises(SystemExit) as end:
             main()
@@ -164,6 +165,10 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "low > high": (["space.B.low=300"], "'B': low is 300.0 and high is 200.0"),
     "unknown setting": (["optimizer.alpha=1"], "optimizer.alpha: is unknown; allowed are"),
     "unknown key": (["xyz=1"], "xyz: is unknown; allowed are model, dataset, space"),
+    "a setting without its group": (
+        ["seconds=3"],
+        "seconds: is unknown; did you mean budget.seconds?",
+    ),
     "unknown in space": (["space.B.lo=1"], "did you mean low? allowed are unit, low"),
     "wrong type": (["space.B.low=wide"], "space.B.low: is 'wide'; expected a number"),
     "half an evaluation": (

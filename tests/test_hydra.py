@@ -68,6 +68,7 @@ def typed(
         small = TINY if tiny else ("budget.evaluations=20", "dataset.n=40")
         root = tmp_path / "runs"
         GlobalHydra.instance().clear()
+        monkeypatch.setattr("experiments.app.console.SILENT", 3600.0)
         monkeypatch.setattr(sys, "argv", ["identify", *small, f"root={root}", *arguments])
         with pytest.raises(SystemExit) as end:
             identify.main()

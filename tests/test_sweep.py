@@ -109,12 +109,14 @@ def test_a_result_that_is_gone_is_missed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = runs_of(tmp_path)
-    run(runs, SweepConfig())
+    run(runs, SweepConfig(), command="experiments.compare -m", overrides=["seed=0,1"])
     (Store(tmp_path).folder(runs[0].identity) / "result.json").unlink()
     assert manifest.without_result(tmp_path) == ([Store(tmp_path).folder(runs[0].identity)], 2)
     page = save_sweep(read_sweep(tmp_path), tmp_path, tmp_path / "report.html", {})
     warning = "1 of 2 runs of the sweeps here have no result.json"
-    assert warning in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert warning in err
+    assert "this runs them again: python -m experiments.compare -m seed=0,1\n" in err
     assert warning in page.read_text()
     again = run(runs, SweepConfig()).states
     assert sorted(statuses(again)) == [Status.DONE_BEFORE, Status.RAN]

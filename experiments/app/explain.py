@@ -154,6 +154,8 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         group, _, name = key.rpartition(".")
         if SETTINGS.get(name) in node:
             return f"{key}: is now {group}.{SETTINGS[name]}"
+        if not group and (places := _places(key, node)):
+            return f"{key}: is unknown; did you mean {' or '.join(places)}?"
         return unknown_message(key, node) + _having(key)
     if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
         expected = EXPECTED.get(type(node._get_node(cause.key)))
@@ -196,6 +198,13 @@ def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str
             return f"{place}{group}={name}: {RENAMED[former]}"
     own = "; your own need --config-dir FOLDER" * (group == "experiment")
     return place + unknown_message(f"{group}={name}", error.options or ()) + own
+
+
+def _places(key: str, config: DictConfig) -> list[str]:
+    """The settings of the groups with this name."""
+    groups = [str(name) for name in config if name not in HIDDEN]
+    nodes = ((name, config._get_node(name)) for name in groups)
+    return [f"{name}.{key}" for name, node in nodes if isinstance(node, DictConfig) and key in node]
 
 
 def _having(key: str) -> str:

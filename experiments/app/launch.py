@@ -102,7 +102,7 @@ def launch(
         plan,
         checked,
         fresh=config.fresh,
-        command=f"experiments.{task.__name__}",
+        command=f"experiments.{task.task.__name__} -m",
         overrides=sweep.typed,
         tracking=config.tracking,
     )

@@ -279,7 +279,8 @@ class TextTable:
             text = self._cells(int(row) + self.first)[self.positions[k]][1].strip()
             problem = f"{text!r} in column {self.columns[k]!r} is not a finite number"
             count = f"a number is missing in {self.incomplete:,} of {len(values):,} rows"
-            remedy = "correct the cells, or ignore such rows with missing=drop"
+            remedy = "correct the cells"
+            remedy += ", or ignore such rows with missing=drop" if complete.any() else ""
             raise self.fault(self.columns[k], int(row), f"{problem}; {count}; {remedy}")
         rows = [*range(self.first), *(np.flatnonzero(complete) + self.first).tolist()]
         self.lines = [self.lines[row] for row in rows]

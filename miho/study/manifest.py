@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,13 +27,13 @@ SHOWN = 3
 """Number of names that a message lists."""
 
 
-IDENTIFY = "experiments.identify"
+IDENTIFY = "experiments.identify -m"
 
 
 def write_manifest(
     root: Path, overrides: Sequence[str], runs: Mapping[str, Identity], command: str = IDENTIFY
 ) -> None:
-    """Write the settings of a sweep's runs, given by overrides and identity, and its module."""
+    """Write the settings of a sweep's runs, given by overrides and identity, and its command."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
     parts: dict[str, int] = {}  # numbers by the text of each distinct value
@@ -62,9 +63,8 @@ def sweep_commands(root: Path) -> list[list[str]]:
     for path in paths:
         with contextlib.suppress(OSError, *MALFORMED):
             about = decoded(read_bytes(str(path), LARGEST))
-            command = str(about.get("command", IDENTIFY))
-            multirun = ["-m"] if command == IDENTIFY else []
-            sweeps.append(["python", "-m", command, *multirun, *map(str, about["overrides"])])
+            command = str(about.get("command", IDENTIFY)).split()
+            sweeps.append(["python", "-m", *command, *map(str, about["overrides"])])
     return sweeps
 
 
@@ -117,7 +117,8 @@ def missing_runs(root: Path, problem: str | None = None) -> str | None:
     message = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {folders}"
     if incomplete:
         message += f"; {incomplete:,} of them lost it, or were killed while they stored it"
-    return f"{message}; the same sweep runs them again"
+    again = " && ".join(map(shlex.join, sweep_commands(root)))
+    return f"{message}; this runs them again: {again}"
 
 
 def _path(root: Path, overrides: Sequence[str]) -> Path:

@@ -67,7 +67,7 @@ def test_fig6_says_which_method_has_fewer_runs() -> None:
     assert [text[4:] for text in counted] == ["  MIHO (2 of 3)"]
 
 
-@pytest.mark.parametrize(("end", "plain"), [(20.0, True), (1e4, False)])
+@pytest.mark.parametrize(("end", "plain"), [(20.0, True), (44.0, True), (1e4, False)])
 def test_labels_of_a_short_axis_are_plain_numbers_and_do_not_overlap(
     end: float, plain: bool
 ) -> None:

@@ -493,5 +493,5 @@ def test_rows_without_a_number_are_left_out_and_counted(tmp_path: Path) -> None:
         load_csv(*arguments, missing="drop", ranges={"F": [1, 50]})
     with pytest.raises(ValueError, match="missing is 'omit'; choose from raise, drop"):
         load_csv(*arguments, missing="omit")
-    with pytest.raises(CSVError, match=r":2:3: '' in .* in 2 of 2 rows"):
+    with pytest.raises(CSVError, match=r":2:3: '' in .* in 2 of 2 rows; correct the cells$"):
         load_csv(str(file(tmp_path, "SA,FY\n1,\n,2")), *arguments[1:], missing="drop")

@@ -81,6 +81,10 @@ def test_the_note_says_how_large_the_runs_are(tmp_path: Path) -> None:
     assert size_note(load_runs(tmp_path).runs) == (
         "eta = 5, 1 to 2 repetitions (3 seeds 0 to 4), at most 4 s per run"
     )
+    stored(tmp_path, *common, "optimizer=random", "dataset.n=300")
+    assert size_note(load_runs(tmp_path).runs).endswith(
+        ", at most 4 s per run, runs differ in dataset.n, so their errors do not compare"
+    )
 
 
 def test_the_note_names_the_methods_of_each_budget(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from miho.analysis.variants import base_name, named_apart, shown
+from miho.analysis.variants import OF_PROBLEM, base_name, named_apart, setting_columns, shown
 from miho.study import DamagedRun, read_run
 from miho.study.manifest import first_names
 from miho.study.provenance import flattened
@@ -141,7 +141,8 @@ def size_note(runs: pd.DataFrame) -> str:
 
     For example "R = 2,000, eta = 5, 5 repetitions (seeds 0 to 4), at most 4 s per run". R and eta
     are settings of MIHO; if they differ among its runs, the names of the methods contain them. A
-    limit that differs among methods is followed by their names.
+    limit that differs among methods is followed by their names. Settings of model, loss or data
+    that differ are named.
     """
     runs = named_apart(runs, of_problem=())
     settings = settings_by_method(runs)
@@ -161,6 +162,9 @@ def size_note(runs: pd.DataFrame) -> str:
         for limit in sorted(by_limit.keys() - {None}):
             of = f" of {first_names(by_limit[limit])}" * (len(by_limit) > 1)
             parts.append(f"at most {in_words(limit)} {unit} per run{of}")
+    groups = [name for name in setting_columns(runs) if name.partition(".")[0] in OF_PROBLEM]
+    if differing := [name for name in groups if runs[name].nunique(dropna=False) > 1]:
+        parts.append(f"runs differ in {', '.join(differing)}, so their errors do not compare")
     return ", ".join(parts)
 
 

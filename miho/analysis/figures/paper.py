@@ -256,7 +256,8 @@ def plot_error_over(
         after_end = slice(running.stop - 1, None)
         ax.plot(at[after_end], mean[after_end], color=style.color, linewidth=0.6, zorder=layer)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
-    if grid[-1] < SHORT * grid[0]:  # labels such as 2 x 10^-3 would overlap
+    ax.xaxis.set_minor_formatter(NullFormatter())  # labels such as 2 x 10^-3 would overlap
+    if grid[-1] < SHORT * grid[0]:
         plain_log_ticks(ax.xaxis)
     ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown_in}]")
     if irreducible is not None:
@@ -296,8 +297,8 @@ def plain_log_ticks(axis: XAxis | YAxis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-SHORT = 30
-"""Ratio of the ends of a short logarithmic axis."""
+SHORT = 100
+"""Ratio of the ends of a logarithmic axis that may show a single power of ten."""
 MARGIN = 1.5
 """Range of slip angles of drawn curves, relative to the driving data."""
 
