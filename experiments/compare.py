@@ -34,6 +34,7 @@ from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 
 SETTINGS = {
+    "problem, or dataset and model": "what the methods are compared on",
     "experiment": "the comparison; experiment --help lists them",
     "seed, optimizer": "values to sweep over: 'seed=range(5)' optimizer=miho,random",
     "comparison.repetitions, .methods": "repetitions and methods of an arena",

@@ -116,6 +116,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "--version": (["--version"], 0, r"[Hh]ydra 1\."),
     "--config-name": (["--config-name=compare", "--cfg", "job"], 0, "seconds: 4.0"),
     "-sc install=bash": (["-sc", "install=bash"], 0, "hydra_bash_completion|COMP"),
+    "sweep.subdir": (["-m", "hydra.sweep.subdir=${hydra.job.num}_a"], 0, "1 run: 1 ran"),
     "output_subdir": (["-m", "hydra.output_subdir=record"], 0, "1 run: 1 ran"),
     "a verbose logger": (["-m", "hydra.verbose=true"], 0, "1 run: 1 ran"),
     "job_logging": (["-m", "hydra/job_logging=none"], 0, "1 run: 1 ran"),
@@ -124,7 +125,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a deleted group": (["~loss"], 2, "loss"),
     "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 run: 1 ran"),
 }  # fmt: skip
-QUICK = ("several values without -m", "--cfg job")
+QUICK = ("several values without -m", "--cfg job", "sweep.subdir")
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,14 @@ import sys
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import yaml
 from hydra import compose, initialize_config_dir
 from hydra.conf import HydraConf
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from experiments.app.explain import (
@@ -99,10 +100,21 @@ def job_config(config: DictConfig, node: HydraConf) -> DictConfig:
             f"method={name}: only names the runs, which are of {option}; write optimizer={name} to "
             "choose a method, or give another name"
         )
-    keys = {text.lstrip("+~").partition("=")[0] for text in node.overrides.task} - {"problem"}
-    if choices.get("problem") and not DEFINING.isdisjoint(key.partition(".")[0] for key in keys):
+    keys = {text.lstrip("+~").partition("=")[0] for text in as_typed(node.overrides.task)}
+    if choices.get("problem") and not DEFINING.isdisjoint(
+        key.partition(".")[0] for key in keys - {"problem"}
+    ):
         _check_problem(config, node)
     return config
+
+
+def as_typed(overrides: Any) -> list[str]:
+    """Overrides in a node of Hydra as they were typed, for example with ${hydra.job.num} in them.
+
+    An element of the node would have the value of the interpolation, or raise if it has none yet.
+    """
+    texts: Any = OmegaConf.to_container(OmegaConf.create(overrides), resolve=False)
+    return list(map(str, texts))
 
 
 def _check_problem(config: DictConfig, node: HydraConf) -> None:
@@ -120,7 +132,8 @@ def _check_problem(config: DictConfig, node: HydraConf) -> None:
             f"problem={name}: is about dataset={own['override /dataset']}, but the command or its "
             f"experiment chooses dataset={dataset}; choose a dataset without problem={name}"
         )
-    places = [text for text in node.overrides.hydra if text.startswith("hydra.searchpath=")]
+    typed = as_typed(node.overrides.hydra)
+    places = [text for text in typed if text.startswith("hydra.searchpath=")]
     recorded = composed([f"problem={name}", *places])
     is_same = all(config[key] == recorded[key] for key in DEFINING - {"experiment", "problem"})
     is_same &= all(config.problem[key] == recorded.problem[key] for key in CHANGING)

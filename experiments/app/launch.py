@@ -18,7 +18,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 from tqdm import tqdm
 
-from experiments.app.compose import job_config
+from experiments.app.compose import as_typed, job_config
 from experiments.app.console import OK, Job
 from experiments.app.explain import ConfigError
 from experiments.app.plan import Request, Trials, requests, sweep_settings
@@ -88,7 +88,7 @@ def launch(
         within = (
             "; a glob without a match has none, and it finds no options in folders of a group, "
             "such as r500"
-        ) * any("glob(" in text for text in config.hydra.overrides.task)
+        ) * any("glob(" in text for text in as_typed(config.hydra.overrides.task))
         raise ConfigError(f"-m: has no values to sweep over; give some, such as seed=0,1{within}")
     if task.sweep is None:
         cfg = job_config(_copied(config), config.hydra)
@@ -119,7 +119,8 @@ def launch(
 
 def _refuse_arena(config: DictConfig) -> None:
     """Raise ConfigError for a setting of an arena, which a sweep would ignore."""
-    words = [text.lstrip("+").partition("=")[0] for text in config.hydra.overrides.task]
+    texts = as_typed(config.hydra.overrides.task)
+    words = [text.lstrip("+").partition("=")[0] for text in texts]
     for key, instead in IN_A_SWEEP.items():
         name = f"comparison.{key}"
         if name in words or (key == "problems" and config.comparison[key]):
@@ -193,8 +194,8 @@ def typed(node: HydraConf) -> list[str]:
     folders = [Path(source.path) for source in sources if source.provider == "command-line"]
     here = Path.cwd()
     folders = [path.relative_to(here) if path.is_relative_to(here) else path for path in folders]
-    overrides = [x for x in node.overrides.task if not _is_of(x, ("fresh", "sweep"))]
-    sweeper = [x for x in node.overrides.hydra if x.lstrip("+").startswith(SWEEPER)]
+    overrides = [x for x in as_typed(node.overrides.task) if not _is_of(x, ("fresh", "sweep"))]
+    sweeper = [x for x in as_typed(node.overrides.hydra) if x.lstrip("+").startswith(SWEEPER)]
     return [*(f"--config-dir={folder}" for folder in folders), *overrides, *sweeper]
 
 
