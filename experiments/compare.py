@@ -8,7 +8,7 @@ is killed, the others continue. The figures, tables and tests follow the last ru
 python -m experiments.compare                        # reduced size, about three minutes
 python -m experiments.compare experiment=paper_fig6  # full size, about 70 minutes
 python -m experiments.compare experiment=torque_gap  # gaps to a known optimum, half a minute
-python -m experiments.compare experiment=arena       # many methods on many problems, 41 minutes
+python -m experiments.compare experiment=arena       # many methods on many problems, two hours
 python -m experiments.compare experiment=arena_small # the same, small, two minutes
 python -m experiments.compare experiment=arena_sets  # two published sets of test problems
 """
