@@ -125,7 +125,7 @@ def _check_problem(config: DictConfig, node: HydraConf) -> None:
     name, dataset = node.runtime.choices["problem"], node.runtime.choices["dataset"]
     text = yaml.safe_load(source("problem", name, option_folders())) or {}
     own: dict[str, str] = {}
-    for item in text.get("defaults", ()):
+    for item in text.get("defaults") or ():
         own |= item if isinstance(item, dict) else {}
     if own.get("override /dataset", dataset) != dataset:
         raise ConfigError(
