@@ -163,22 +163,6 @@ def alike(space: Space) -> list[list[int]]:
     return several if len(several) > 1 else []
 
 
-def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Array:
-    """Starts (n, d) at the best minimum (d,), with values exchanged among parameters.
-
-    A minimum may have the parameters of one peak at another one. Values are exchanged among
-    parameters that are `alike`, in every second start in the same way for position, height and
-    width. The first start has them in reverse order, as has each start that would be the minimum.
-    """
-    starts, keys = np.tile(best, (n, 1)), rng.random((n, best.size))
-    for group in alike(space):
-        group_keys = keys[:, group]
-        group_keys[::2] = keys[::2, : len(group)]
-        starts[:, group] = best[group][np.argsort(group_keys, axis=1)]
-        starts[0, group] = best[group[::-1]]
-    return np.where((starts == best).all(axis=1, keepdims=True), starts[0], starts)
-
-
 def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     """Convert uniform shares u (n, d) of the ranges to shares whose sizes are log-uniform.
 

@@ -66,9 +66,10 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
 
 
 def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
-    """Test the residuals of an optimum for structure before it is challenged.
+    """Test the residuals of an optimum for structure before it is challenged, and draw near it.
 
-    A challenge by its neighbours also needs their directions, for one evaluation of derivatives.
+    The first challenge starts at its neighbours. If there are other minima, every second one after
+    that scans each parameter (`miho.optim.challenges`). The others draw some coordinates anew.
     """
     if not state.challenged:
         return
@@ -77,22 +78,31 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
         state.structured = structured(oracle, state.theta(state.minima.x[best]))
         state.tested = float(state.minima.loss[best])
         state.challenged = not state.structured
-    loss = float(state.minima.loss[best])
-    if state.challenged and state.passed == bool(alike(state.space)) and state.directed != loss:
-        state.directions, state.directed = _directions(state, oracle), loss
+    turn = float(state.minima.loss[best]), state.passed
+    if not state.challenged or state.prepared == turn:
+        return
+    state.near, after = np.empty((0, state.d)), state.passed - bool(alike(state.space))
+    if after == 0:
+        state.near = _neighbours(state, oracle)
+    elif after > 0 and after % 2 and state.minima.loss.size > 1:
+        from miho.optim.challenges import scanned
+
+        state.near = scanned(state, oracle)
+    state.prepared = turn
 
 
-def _directions(state: MIHOGNState, oracle: Oracle) -> Array:
-    """Changes of the best minimum that move one parameter each by a standard deviation, (d, d).
+def _neighbours(state: MIHOGNState, oracle: Oracle) -> Array:
+    """The best minimum with one parameter each moved by a standard deviation, (2 d, d).
 
-    They are in unit coordinates, and the other parameters follow as in a profile. Empty, (0, d), if
-    derivatives are missing, if the data do not determine all parameters, or for more than MOST_ROWS
-    rows, which leave no room for an optimum between two rows.
+    In unit coordinates; the other parameters follow as in a profile. Empty, (0, d), if derivatives
+    are missing, if the data do not determine all parameters, or for more than MOST_ROWS rows, which
+    leave no room for an optimum between two rows.
     """
     none, N = np.empty((0, state.d)), int(state.level_rows[-1])
     if N > MOST_ROWS:
         return none
-    theta = state.theta(state.minima.x[state.best_minimum])
+    best = state.minima.x[state.best_minimum]
+    theta = state.theta(best)
     try:
         J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0) * state.box.width
         root = np.linalg.inv(np.linalg.qr(J, mode="r"))
@@ -102,7 +112,9 @@ def _directions(state: MIHOGNState, oracle: Oracle) -> Array:
     with np.errstate(all="ignore"):
         covariance = variance * root @ root.T
         directions = covariance / np.sqrt(np.diag(covariance))[:, None]
-    return directions if np.isfinite(directions).all() else none
+    if not np.isfinite(directions).all():
+        return none
+    return np.asarray(np.clip(best + np.concatenate([directions, -directions]), 0, 1))
 
 
 def structured(oracle: Oracle, theta: Array) -> bool:

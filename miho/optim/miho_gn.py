@@ -30,7 +30,7 @@ from miho.compiled.phases import (
     make_room,
     nearness,
 )
-from miho.optim.brackets import alike, around, draw_starts, exchanged
+from miho.optim.brackets import alike, around, draw_starts
 from miho.optim.credibility import credible, is_tested, prepare_challenge, solves
 from miho.optim.evidence import ENOUGH, in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
@@ -253,12 +253,12 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """Starts near the best minimum, some of them from `starts` (n, d), and their level."""
         best, last = state.minima.x[state.best_minimum], state.level_rows.size - 1
         coordinates = state.box.origin + state.box.width * best
-        exchanges = bool(alike(state.space))
-        if exchanges and state.passed == 0:
+        if state.passed == 0 and alike(state.space):
+            from miho.optim.challenges import exchanged
+
             return exchanged(coordinates, state.space, self.min_candidates, state.rng), last
-        if state.passed == exchanges and state.directions.size:
-            x = np.clip(best + np.concatenate([state.directions, -state.directions]), 0, 1)
-            return state.box.origin + state.box.width * x, last
+        if state.near.size:
+            return state.box.origin + state.box.width * state.near, last
         return around(coordinates, starts, state.rng), 0
 
     def _projects(self, state: MIHOGNState) -> bool:

@@ -114,8 +114,9 @@ class MIHOGNState:
         whether the current one does.
     tested, structured : float, bool
         Loss of the minimum whose residuals were tested, and whether they have structure.
-    directions, directed : ndarray of shape (d, d) or (0, d), float
-        From a minimum to the neighbours that challenge it, and its loss.
+    near, prepared : ndarray of shape (k, d), (float, int)
+        Starts of the next challenge on all rows, if they are not drawn, and the loss of the minimum
+        and the challenges that it had passed when they were prepared.
     """
 
     space: Space
@@ -140,8 +141,8 @@ class MIHOGNState:
     challenging: bool = False
     tested: float = math.inf
     structured: bool = False
-    directions: Array = field(default_factory=lambda: np.empty((0, 0)))
-    directed: float = math.inf
+    near: Array = field(default_factory=lambda: np.empty((0, 0)))
+    prepared: tuple[float, int] = math.inf, 0
     finished: bool = False
     blocks: Blocks | None = None
 
@@ -218,7 +219,7 @@ class MIHOGNState:
         self.minima, self.best_found_after = other.minima, other.best_found_after
         self.passed, self.challenged = other.passed, other.challenged
         self.tested, self.structured = other.tested, other.structured
-        self.directions, self.directed = other.directions, other.directed
+        self.near, self.prepared = other.near, other.prepared
 
     def add_minimum(self, c: GNCandidates) -> None:
         """Add the end of the first candidate to the known minima."""
