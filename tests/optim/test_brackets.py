@@ -1,6 +1,5 @@
 """Levels of rows, sizes and starts of brackets."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +9,9 @@ from miho.optim.brackets import (
     DECADES,
     TURNS,
     Brackets,
-    alike,
     around,
     by_scale,
     draw_starts,
-    exchanged,
     luby,
 )
 from miho.quantities import Array
@@ -122,23 +119,3 @@ def test_starts_around_a_minimum_keep_some_of_its_coordinates() -> None:
     assert kept.mean() == pytest.approx(2.5, abs=0.15)  # five standard errors
     alone = around(best[:1], starts[:, :1], rng)
     np.testing.assert_array_equal(alone, starts[:, :1])
-
-
-def test_values_are_exchanged_among_parameters_with_equal_bounds() -> None:
-    """Two peaks and an offset; the smallest bracket has one start."""
-    names, rng = ("m", "a", "c", "w", "b", "d", "v"), np.random.default_rng(1)
-    highs = (1, 5, 100, 9, 5, 100, 9)
-    space = Space(tuple(Parameter(k, "", 0, high) for k, high in zip(names, highs, strict=True)))
-    assert alike(space) == [[1, 4], [2, 5], [3, 6]]
-    assert alike(Space(space.parameters[:5])) == [], "two heights only"
-    units = [replace(p, unit=p.name) for p in space.parameters]
-    assert alike(Space(tuple(units))) == []
-    best = np.arange(7.0)
-    for n in (1, 40):
-        starts = exchanged(best, space, n, rng)
-        assert starts[0].tolist() == [0, 4, 5, 6, 1, 2, 3]
-        assert not (starts == best).all(axis=1).any()
-        assert (starts[:, 0] == 0).all()
-        for group in alike(space):
-            assert (np.sort(starts[:, group], axis=1) == best[group]).all()
-    assert len(np.unique(starts, axis=0)) == 7, "all exchanges but none"
