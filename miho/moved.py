@@ -29,6 +29,8 @@ MOVED = {
         for name in names
     },
     "miho.driving": "miho.vehicle.driving",
+    "miho.compiled.climb": "miho.compiled.taped",
+    "miho.compiled.workspace": "miho.compiled.gauss_newton",
     "miho.data.units": "miho.units",
     "miho.vehicle.data.synthetic_play": "miho.vehicle.data.synthetic_brake",
     "miho.vehicle.driving.inverse_powertrain": "miho.vehicle.driving.speed_control",

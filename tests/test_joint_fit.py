@@ -453,7 +453,7 @@ def test_a_local_name_that_another_part_has_is_refused() -> None:
     t = np.linspace(0, 1, 9)
     parts = {"p": (lambda t, a, b: a + b * t, t, t), "q": (lambda t, a_p, b: a_p + b * t, t, t)}
     box = {"a": (0, 5), "b": (0, 5), "a_p": (0, 5)}
-    with pytest.raises(ValueError, match="a_p is also a parameter of another part; rename"):
+    with pytest.raises(ValueError, match="a_p is also a parameter that is not local; rename"):
         miho.fit_joint(parts, box, local="a")
 
 

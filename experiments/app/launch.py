@@ -123,7 +123,8 @@ def _refuse_arena(config: DictConfig) -> None:
     words = [text.lstrip("+").partition("=")[0] for text in texts]
     for key, instead in IN_A_SWEEP.items():
         name = f"comparison.{key}"
-        if name in words or (key == "problems" and config.comparison[key]):
+        typed = any(word == name or word.startswith(f"{name}.") for word in words)
+        if typed or (key == "problems" and config.comparison[key]):
             raise ConfigError(
                 f"{name}: is for an arena, and this is a sweep; start an arena with python -m "
                 f"experiments.compare experiment=arena_small, or write {instead} here"

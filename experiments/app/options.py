@@ -23,7 +23,8 @@ def options_of(group: str, folders: Sequence[Path] = (CONF,)) -> list[str]:
     names = {
         str(path.relative_to(folder / group).with_suffix(""))
         for folder in folders
-        for path in (folder / group).rglob("[!.]*.yaml")
+        for path in (folder / group).rglob("*.yaml")
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
     }
     return sorted(names.union(recorded() if group == "problem" and CONF in folders else ()))
 

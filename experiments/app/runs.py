@@ -78,8 +78,8 @@ def run(
     After the first signal the active runs save their progress and stop, and the returned states
     describe all runs. With `here` the runs are executed in this process. Otherwise, if
     `settings.workers` is the address of a cluster, the runs are executed there; if the cluster is
-    lost, the states say which runs are to do. `command`
-    begins the command line of a sweep, for its record.
+    lost, the states say which runs are to do. `command` begins the command line of a sweep, for its
+    record.
 
     Raises ResumeRefused if stored runs used other code, data or settings. At the end finished runs
     are sent to the tracker of `tracking`, unless a signal stopped the runs.

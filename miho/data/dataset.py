@@ -80,8 +80,8 @@ class Dataset:
         # Columns become read-only copies, finite and of one length, each with a unit.
         columns = {}
         for key, values in self.columns.items():
-            dtype = np.asarray(values).dtype
-            if dtype.kind not in "biufO":
+            dtype = getattr(values, "dtype", np.asarray(values).dtype)
+            if getattr(dtype, "kind", "O") in "cmMSUV":  # also dates of pandas with a time zone
                 raise ValueError(
                     f"dataset {self.name}: column {key!r} is {dtype}; expected real numbers"
                 )

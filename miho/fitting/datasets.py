@@ -69,7 +69,9 @@ class Groups:
 
 def _with_masks(values: Any) -> Any:
     """A list of masked arrays as one array; NumPy would drop the masks."""
-    masked = isinstance(values, Sequence) and any(map(np.ma.is_masked, values))
+    masked = isinstance(values, Sequence) and any(
+        isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value) for value in values
+    )
     return np.ma.array(values) if masked else values
 
 

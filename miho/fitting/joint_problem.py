@@ -79,11 +79,12 @@ class Joint:
             if not any(name in part.model.parameters for part in self.parts.values()):
                 raise ValueError(f"local: {name} is not a parameter of any part; remove it")
         for name, part in self.parts.items():
-            for own in self._joint_names(name, part.model):
-                if own not in part.model.parameters and own in self._shared:
-                    raise ValueError(
-                        f"local: {own} is also a parameter of another part; rename part {name!r}"
-                    )
+            for own in self._shared & {
+                f"{p}_{name}" for p in self.local if p in part.model.parameters
+            }:
+                raise ValueError(
+                    f"local: {own} is also a parameter that is not local; rename part {name!r}"
+                )
             _check_units(name, part)
         _ = self.dataset  # raises for an invalid sigma
 

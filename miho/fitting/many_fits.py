@@ -161,7 +161,8 @@ def fit_many(
         batch = Batch.of(problem.model, problem.space, datasets, np.arange(len(datasets)))
         ends, covariance, counts = _by_numpy(batch, thetas, search, seed, progress)
     if not np.isfinite(ends.squares).any():
-        problem.model.predict(ends.thetas[:1], *problem.inputs)  # raises with its reason, if any
+        failed = ends.thetas if thetas is None else thetas
+        problem.model.predict(failed[:1], *problem.inputs)  # raises with its reason, if any
         raise ValueError(f"{title(problem)}: no finite value was found")
     table = _table(problem, datasets.rows, ends, covariance, parts.index)
     table.attrs.update(counts)

@@ -52,8 +52,8 @@ def no_argument(names: Sequence[str], parameters: Collection[str]) -> ValueError
     """The error on fewer arguments of a function than columns before its parameters."""
     return ValueError(
         f"{next(name for name in names if name in parameters)} has bounds, but x has {len(names)} "
-        f"columns, for the arguments {', '.join(names)}; give the model an argument for each "
-        "column, before the parameters"
+        f"column{'s' * (len(names) > 1)}, for the arguments {', '.join(names)}; give the model "
+        "an argument for each column, before the parameters"
     )
 
 

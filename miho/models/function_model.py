@@ -266,7 +266,7 @@ class FunctionModel(DifferencedModel):
         except Exception as error:
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
-            got = type(result).__name__ if values.dtype == object else values.dtype
+            got = type(result).__name__ if result is None else values.dtype
             parts = "; return one part; miho.fit_joint fits both" * (values.dtype.kind == "c")
             raise ValueError(f"{self._place}: expected real numbers, got {got}{parts}")
         return values
@@ -291,7 +291,7 @@ class FunctionModel(DifferencedModel):
         line = line_in(error, str(self.source))
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         message = " ".join(str(error).split())  # in one line
-        hint = COPY * ("read-only" in message) + ARRAY * ("'float' object is not" in message)
+        hint = COPY * ("read-only" in message) + ARRAY * ("'float' object is not sub" in message)
         return f"{place} raises {type(error).__name__}: {message}{hint}"
 
 

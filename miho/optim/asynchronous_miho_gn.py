@@ -149,7 +149,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         ):
             begun = replace(search, place=np.full(5, CLOSED), turn=0)
             self.method.begin_bracket(begun, oracle)
-            search.bracket = begun.bracket
+            search.bracket, search.spent_before = begun.bracket, begun.spent_before
             state.brackets.append(BracketUnderWay(begun, oracle.evaluations))
             under_way.append(state.brackets[-1].begun(oracle))
         arrived = oracle.workers.first_ready([r.ahead for r in under_way if r is not None])

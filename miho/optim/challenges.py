@@ -35,17 +35,17 @@ def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Ar
     return np.where((starts == best).all(axis=1, keepdims=True), starts[0], starts)
 
 
-def scanned(state: MIHOGNState, oracle: Oracle) -> Array:
+def scanned(state: MIHOGNState, oracle: Oracle) -> Array | None:
     """Lowest points of the loss along each parameter through the best minimum, (k, d).
 
     They are minima among evenly spaced points of one parameter, apart from the best minimum, in
-    unit coordinates. Parameters in which the model is linear are left out. The points of two scans
-    differ.
+    unit coordinates, or None. Parameters in which the model is linear are left out. The points of
+    two scans differ.
     """
     best, scans = state.minima.x[state.best_minimum], state.box.nonlinear
     n = min(MOST_POINTS, int(SHARE * state.spent_before / scans.size))
     if n < FEWEST_POINTS:
-        return np.empty((0, best.size))
+        return None
     points = (np.arange(n) + state.bracket * GOLDEN % 1) / n
     x = np.tile(best, (scans.size, n, 1))
     x[np.arange(scans.size), :, scans] = points
@@ -54,4 +54,4 @@ def scanned(state: MIHOGNState, oracle: Oracle) -> Array:
     sides = np.pad(losses, ((0, 0), (1, 1)), constant_values=np.inf)
     low = (losses < sides[:, :-2]) & (losses < sides[:, 2:])
     low &= np.abs(points - best[scans, None]) > 1 / n  # the others lead back
-    return x[low][np.argsort(losses[low], kind="stable")[:MOST_STARTS]]
+    return x[low][np.argsort(losses[low], kind="stable")[:MOST_STARTS]] if low.any() else None

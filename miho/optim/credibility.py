@@ -81,7 +81,7 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     turn = float(state.minima.loss[best]), state.passed
     if not state.challenged or state.prepared == turn:
         return
-    state.near, after = np.empty((0, state.d)), state.passed - bool(alike(state.space))
+    state.near, after = None, state.passed - bool(alike(state.space))
     if after == 0:
         state.near = _neighbours(state, oracle)
     elif after > 0 and after % 2 and state.minima.loss.size > 1:
@@ -91,29 +91,28 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     state.prepared = turn
 
 
-def _neighbours(state: MIHOGNState, oracle: Oracle) -> Array:
+def _neighbours(state: MIHOGNState, oracle: Oracle) -> Array | None:
     """The best minimum with one parameter each moved by a standard deviation, (2 d, d).
 
-    In unit coordinates; the other parameters follow as in a profile. Empty, (0, d), if derivatives
-    are missing, if the data do not determine all parameters, or for more than MOST_ROWS rows, which
+    In unit coordinates; the other parameters follow as in a profile. None if derivatives are
+    missing, if the data do not determine all parameters, or for more than MOST_ROWS rows, which
     leave no room for an optimum between two rows.
     """
-    none, N = np.empty((0, state.d)), int(state.level_rows[-1])
+    N, best = int(state.level_rows[-1]), state.minima.x[state.best_minimum]
     if N > MOST_ROWS:
-        return none
-    best = state.minima.x[state.best_minimum]
+        return None
     theta = state.theta(best)
     try:
         J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0) * state.box.width
         root = np.linalg.inv(np.linalg.qr(J, mode="r"))
     except (UnusableValueError, np.linalg.LinAlgError):
-        return none
+        return None
     variance = float(state.minima.loss.min()) * N / max(N - state.d, 1)
     with np.errstate(all="ignore"):
         covariance = variance * root @ root.T
         directions = covariance / np.sqrt(np.diag(covariance))[:, None]
     if not np.isfinite(directions).all():
-        return none
+        return None
     return np.asarray(np.clip(best + np.concatenate([directions, -directions]), 0, 1))
 
 

@@ -258,7 +258,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             from miho.optim.challenges import exchanged
 
             return exchanged(coordinates, state.space, self.min_candidates, state.rng), last
-        if state.near.size:
+        if state.near is not None:
             return state.box.origin + state.box.width * state.near, last
         return around(coordinates, starts, state.rng), 0
 

@@ -114,9 +114,8 @@ class MIHOGNState:
         whether the current one does.
     tested, structured : float, bool
         Loss of the minimum whose residuals were tested, and whether they have structure.
-    near, prepared : ndarray of shape (k, d), (float, int)
-        Starts of the next challenge on all rows, if they are not drawn, and the loss of the minimum
-        and the challenges that it had passed when they were prepared.
+    near, prepared : ndarray of shape (k, d) or None, (float, int)
+        Starts of the next challenge, unless they are drawn, and for which `tested` and `passed`.
     """
 
     space: Space
@@ -141,7 +140,7 @@ class MIHOGNState:
     challenging: bool = False
     tested: float = math.inf
     structured: bool = False
-    near: Array = field(default_factory=lambda: np.empty((0, 0)))
+    near: Array | None = None
     prepared: tuple[float, int] = math.inf, 0
     finished: bool = False
     blocks: Blocks | None = None

@@ -196,8 +196,8 @@ def minimize(
     >>> str(record.outcome), record.theta.round(4)
     ('converged', array([1., 2.]))
     """
-    space = getattr(problem, "space", None)
-    given = optimizer, problem, space, getattr(problem, "name", None), budget, seed
+    space, name = (problem.space, problem.name) if isinstance(problem, Problem) else (None, None)
+    given = optimizer, problem, space, name, budget, seed
     if not all(map(isinstance, given, (Optimizer, Problem, Space, str, Budget | None, int))):
         from miho.optim.refused_arguments import checked_seed
 

@@ -28,7 +28,7 @@ def checked_seed(
         ("space of the problem", space, Space, "a miho.Space"),
         ("name of the problem", name, str, "a word"),
     ):
-        if isinstance(value, type):
+        if isinstance(value, type) and issubclass(value, kind) and kind in (Optimizer, Problem):
             raise ValueError(f"{label} is the class {value.__name__}; write {value.__name__}()")
         if not isinstance(value, kind):
             raise ValueError(f"{label} is {value!r}; expected {expected}")

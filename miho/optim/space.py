@@ -214,7 +214,7 @@ class Space:
 
     def __post_init__(self) -> None:
         given = tuple(self.parameters) if isinstance(self.parameters, Iterable) else ()
-        if {*map(type, given)} != {Parameter}:
+        if not given or not all(isinstance(parameter, Parameter) for parameter in given):
             one = "at least one parameter, for example miho.Parameter('a', 'V', 0, 5)"
             raise ValueError(f"space: expected {one}; got {self.parameters}")
         object.__setattr__(self, "parameters", given)

@@ -1,6 +1,5 @@
 """Levels of rows, sizes and starts of brackets."""
 
-
 import numpy as np
 import pytest
 
