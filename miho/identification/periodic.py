@@ -27,8 +27,8 @@ from miho.models.symbolic import (
 from miho.quantities import Array
 
 WITH_PERIOD, WITHOUT_PERIOD = 1.5, 0.5
-"""Wrong claims of `miho_gn` (%), of 619 on models with a period and of 1,484 on others, in the least
-favourable of the measurements in `docs/evidence.md`
+"""Wrong claims of `miho_gn` (%), of 619 on models with a period and of 1,484 on others, in the
+least favourable of the measurements in `docs/evidence.md`
 (`python -m experiments.check.false_ends --instances 50`, `--draw 0` and `--draw 1`)."""
 REMARK = (
     f"The model has an unknown period. On test problems with one, {WITH_PERIOD:g} % of such claims "

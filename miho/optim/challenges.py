@@ -14,8 +14,8 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 SHARE, MOST_POINTS, FEWEST_POINTS, MOST_STARTS = 1 / 8, 32, 4, 3
-"""A scan takes this share of the evaluations of the search, and has numbers of points along each
-parameter and of starts between these."""
+"""Largest share of the evaluations so far that a scan costs, largest and smallest number of points
+along a parameter, and largest number of starts."""
 GOLDEN = (5**0.5 - 1) / 2
 
 
@@ -38,9 +38,9 @@ def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Ar
 def scanned(state: MIHOGNState, oracle: Oracle) -> Array | None:
     """Lowest points of the loss along each parameter through the best minimum, (k, d).
 
-    They are minima among evenly spaced points of one parameter, apart from the best minimum, in
-    unit coordinates, or None. Parameters in which the model is linear are left out. The points of
-    two scans differ.
+    Each is a minimum among evenly spaced values of one parameter, apart from the best minimum, in
+    unit coordinates. Parameters in which the model is linear are left out. The values differ
+    between scans. None if there is no such point, or if the search is too short for a scan.
     """
     best, scans = state.minima.x[state.best_minimum], state.box.nonlinear
     n = min(MOST_POINTS, int(SHARE * state.spent_before / scans.size))

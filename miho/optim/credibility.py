@@ -66,10 +66,10 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
 
 
 def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
-    """Test the residuals of an optimum for structure before it is challenged, and draw near it.
+    """Test the residuals of an optimum for structure, and prepare the starts of its challenge.
 
-    The first challenge starts at its neighbours. If there are other minima, every second one after
-    that scans each parameter (`miho.optim.challenges`). The others draw some coordinates anew.
+    The first challenge starts at the neighbours of the optimum. If there are other minima, every
+    second one from then on scans each parameter. The others draw some coordinates anew.
     """
     if not state.challenged:
         return

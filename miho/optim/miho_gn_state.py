@@ -115,7 +115,7 @@ class MIHOGNState:
     tested, structured : float, bool
         Loss of the minimum whose residuals were tested, and whether they have structure.
     near, prepared : ndarray of shape (k, d) or None, (float, int)
-        Starts of the next challenge, unless they are drawn, and for which `tested` and `passed`.
+        Starts of a challenge, unless they are drawn; loss and `passed` of the best minimum then.
     """
 
     space: Space
