@@ -12,6 +12,9 @@ from miho.quantities import Array
 SINGULAR = 1e-10
 """A direction does not change the predictions if its singular value is at most this fraction of the
 largest."""
+SMALLEST = 1e-140
+"""A column of derivatives counts as zero if its norm is smaller. A variance is the inverse square
+of the norm and overflows below 1e-154; the singular values divide it by up to 1e-10 more."""
 INVOLVED = 1e-6
 """A parameter is unidentifiable if its component of a null direction exceeds this fraction."""
 
@@ -37,8 +40,9 @@ def inverse_root(J: Array, free: NDArray[np.intp]) -> InverseRoot:
     Parameters outside the positions `free` are fixed: their entries are 0.
     """
     scale = np.linalg.norm(J[:, free], axis=0)
-    scale[scale == 0] = 1.0
+    scale[scale < SMALLEST] = np.inf
     U, s, Vt = np.linalg.svd(J[:, free] / scale, full_matrices=len(J) < free.size)
+    scale[np.isinf(scale)] = 1.0
     s = np.append(s, np.zeros(len(Vt) - s.size))
     determined = s > SINGULAR * s.max(initial=0.0)
     half = np.zeros((J.shape[1], int(determined.sum())))

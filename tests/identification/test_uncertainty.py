@@ -104,6 +104,15 @@ def test_what_the_data_do_not_see_has_no_finite_error() -> None:
     assert np.isnan(at.correlation).all()
 
 
+def test_an_effect_whose_inverse_square_overflows_counts_as_none() -> None:
+    """The slope of a peak far beyond the rows is 1e-160: its variance would be 1e320."""
+    x = np.array([0.0, 1.0, 2.0, 3.0])
+    at = linearised(line(1 + 0.1 * np.cos(x), 1e-160 * x), np.array([1.0, 0.0]))
+    alone = linearised(line(1 + 0.1 * np.cos(x), 0 * x), np.array([1.0, 0.0]))
+    np.testing.assert_array_equal(at.standard_errors, [alone.standard_errors[0], np.inf])
+    assert at.unidentifiable.tolist() == [False, True]
+
+
 def test_an_open_profile_is_infinite() -> None:
     """Saturated data: only a lower bound on the rate of rise can be given."""
     fit = misra1a()
