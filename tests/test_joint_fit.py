@@ -37,6 +37,14 @@ def decay(t, a, b):
     return a * np.exp(-b * t)
 
 
+@pytest.mark.parametrize("x", [t, {"t": t}], ids=["column", "by name"])
+def test_a_prediction_of_no_part_names_the_call(x: Any) -> None:
+    parts = {"left": (line, t, 1 + 2 * t, 0.1), "right": (line, t, 3 + 2 * t, 0.1)}
+    fit = miho.fit_joint(parts, start={"a": 1, "b": 1}, local=["a"])
+    with pytest.raises(ValueError, match=r"choose one, as in fit\.part\('left'\)\.predict\(x\)$"):
+        fit.predict(x)
+
+
 def test_lines_with_a_slope_in_common_are_one_regression() -> None:
     """Known sigma: weighted least squares of the stacked rows, in closed form."""
     s = np.linspace(0, 2, 20)

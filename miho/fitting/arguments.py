@@ -224,10 +224,9 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
         return {name: numbers_in(name, x[name]) for name in names}
     columns = x if isinstance(x, tuple) else (x,)
     if len(columns) != len(names):
-        raise ValueError(
-            f"x has {len(columns)} columns; expected {len(names)} for {model.name}: "
-            f"{', '.join(names)}; give them as a tuple or by name"
-        )
+        from miho.fitting.refused_columns import other_number
+
+        raise other_number(model, len(columns))
     return {name: numbers_in(name, column) for name, column in zip(names, columns, strict=True)}
 
 

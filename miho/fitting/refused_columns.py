@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.csv import TIME
-from miho.models.layout import OUTPUT
+from miho.models.joint import parts_of
+from miho.models.layout import OUTPUT, PART
 from miho.models.model import Model
 
 COMPLEX = (
@@ -39,8 +40,27 @@ def no_model(model: object) -> ValueError:
     )
 
 
+def other_number(model: Model, count: int) -> ValueError:
+    """The error on more or fewer columns than a model has inputs."""
+    if PART in model.inputs:
+        return _no_part(model)
+    names = ", ".join(model.inputs)
+    return ValueError(
+        f"x has {count} columns; expected {len(model.inputs)} for {model.name}: {names}; give them "
+        "as a tuple or by name"
+    )
+
+
+def _no_part(model: Model) -> ValueError:
+    """The error on inputs of a joint fit without the number of a part."""
+    name = parts_of(model)[0].name
+    return ValueError(f"x is of no part; choose one, as in fit.part({name!r}).predict(x)")
+
+
 def no_column(model: Model, lacking: Sequence[str]) -> ValueError:
     """The error on input columns that a model needs and the data do not have."""
+    if PART in lacking:
+        return _no_part(model)
     several = "; fit each output as a part of miho.fit_joint" * (OUTPUT in lacking)
     return ValueError(
         f"x has no column {', '.join(lacking)}; expected {', '.join(model.inputs)} for "
