@@ -1,12 +1,43 @@
-"""Errors on arguments of a run that have another type than documented, each with its remedy."""
+"""Errors on arguments of a run and on priors, each with its remedy."""
 
 from __future__ import annotations
+
+import math
 
 from miho.optim.meter import Budget
 from miho.optim.optimizer import Optimizer
 from miho.optim.problem import Problem
-from miho.optim.space import Space
+from miho.optim.space import Parameter, Space
 from miho.validate import whole
+
+FARTHEST = 3.0
+"""Largest distance of a prior's mean outside the bounds, in its standard deviations."""
+
+
+def checked_prior(parameter: Parameter, label: str) -> tuple[float, float]:
+    """The prior of a parameter as two numbers; raises ValueError for other ones."""
+    stated = f"{label}: prior is {parameter.prior!r}"
+    try:
+        mean, std = map(float, parameter.prior or ())
+    except (TypeError, ValueError):
+        raise ValueError(f"{stated}; expected mean and standard deviation") from None
+    log = parameter.scale == "log"
+    usable = math.isfinite(mean) and 0 < std < math.inf and (mean > 0 or not log)
+    if parameter.fixed is not None or not usable:
+        raise ValueError(
+            f"{stated}; expected a finite mean, above 0 on the log scale, and a standard deviation "
+            "above 0, of a parameter that is not fixed"
+        )
+    ends = (parameter.low, mean), (mean, parameter.high)
+    room = min(
+        (math.log(b / a) if a > 0 and b > 0 else math.inf) if log else b - a for a, b in ends
+    )
+    if room < -FARTHEST * std:
+        raise ValueError(
+            f"{stated}, {-room / std:.3g} deviations outside of {parameter.low:g} to "
+            f"{parameter.high:g}; correct one of them"
+        )
+    return mean, std
 
 
 def check_budget(budget: object) -> None:

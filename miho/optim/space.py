@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
-FARTHEST = 3.0
-"""Largest distance of a prior's mean outside the bounds, in its standard deviations."""
 COMMON = 30
 """Number of common initial configurations that are drawn once."""
 SEEDED = ("seed", "free", "_common")
@@ -99,7 +97,9 @@ class Parameter:
             object.__setattr__(self, "fixed", self.low)
         one_of(f"{label}: scale", self.scale, SCALES)
         if self.prior is not None:
-            self._check_prior(label)
+            from miho.optim.refused_arguments import checked_prior
+
+            object.__setattr__(self, "prior", checked_prior(self, label))
         if not self.free:
             self._check_not_free(label)
             return
@@ -124,31 +124,6 @@ class Parameter:
     def free(self) -> bool:
         """Whether the parameter is searched for."""
         return self.fixed is None and self.tied is None
-
-    def _check_prior(self, label: str) -> None:
-        try:
-            mean, std = map(float, self.prior or ())
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"{label}: prior is {self.prior!r}; expected mean and standard deviation"
-            ) from None
-        positive = self.scale != "log" or mean > 0
-        if not (self.fixed is None and math.isfinite(mean) and 0 < std < math.inf and positive):
-            raise ValueError(
-                f"{label}: prior is {self.prior!r}; expected a finite mean, above 0 on the log "
-                "scale, and a standard deviation above 0, of a parameter that is not fixed"
-            )
-        ends = (self.low, mean), (mean, self.high)
-        log = self.scale == "log"
-        room = min(
-            (math.log(b / a) if a > 0 and b > 0 else math.inf) if log else b - a for a, b in ends
-        )
-        if room < -FARTHEST * std:
-            raise ValueError(
-                f"{label}: prior is {self.prior!r}, {-room / std:.3g} deviations outside of "
-                f"{self.low:g} to {self.high:g}; correct one of them"
-            )
-        object.__setattr__(self, "prior", (mean, std))
 
     def _check_not_free(self, label: str) -> None:
         if self.fixed is not None and self.tied is not None:
