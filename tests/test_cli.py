@@ -283,7 +283,8 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "fixed to a word": (["space.C.fixed=one"], "space.C.fixed: is 'one'; expected a number"),
     "fixed and tied": (["space.C.fixed=1", "space.C.tied=B"], "is fixed to 1.0 and tied to 'B'"),
     "all fixed": (
-        [f"space.{name}.fixed=1" for name in ("B", "C", "D", "Sx", "Sy")],
+        [f"space.{name}.fixed={at}" for name, at in zip("BCD", (1, 1, 4000), strict=True)]
+        + ["space.Sx.fixed=0", "space.Sy.fixed=0"],
         "every parameter of the space is fixed or tied",
     ),
     "no such sigma": (["problem.sigma=noise"], "no column 'noise'"),

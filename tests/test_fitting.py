@@ -368,6 +368,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "one number": ({"space": {"a": (0, 5), "b": 3}}, "bounds of b are 3; expected"),
     "unknown": ({"space": {**BOX, "q": (0, 1)}}, "no parameter q, and none is tied|also has q"),
     "fixed unknown": ({"fixed": {"c": 1}}, "fixed: c is not a parameter; choose from a, b"),
+    "fixed outside": ({"fixed": {"a": 9.0}}, "'a': fixed is 9.0, but low is 0.0 and high is 5.0"),
     "a cycle": ({"tied": {"a": "b", "b": "a"}}, "cycle|every parameter"),
     "code": ({"tied": {"a": "__import__('os')"}}, "is not allowed; use numbers"),
     "an attribute": ({"tied": {"a": "b.real"}}, "'b.real' is not allowed"),

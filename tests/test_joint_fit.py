@@ -37,6 +37,12 @@ def decay(t, a, b):
     return a * np.exp(-b * t)
 
 
+def test_a_fixed_value_outside_its_bounds_is_refused() -> None:
+    parts = {"left": (line, t, t, 0.1), "right": (line, t, t, 0.1)}
+    with pytest.raises(ValueError, match=r"'a_left': fixed is 9.0, but low is 0.0 and high is 1.0"):
+        miho.fit_joint(parts, {"a": (0, 1), "b": (0, 1)}, local=["a"], fixed={"a": 9})
+
+
 @pytest.mark.parametrize("x", [t, {"t": t}], ids=["column", "by name"])
 def test_a_prediction_of_no_part_names_the_call(x: Any) -> None:
     parts = {"left": (line, t, 1 + 2 * t, 0.1), "right": (line, t, 3 + 2 * t, 0.1)}

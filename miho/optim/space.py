@@ -93,6 +93,8 @@ class Parameter:
 
     def __post_init__(self) -> None:
         label = f"parameter {self.name!r}"
+        if not isinstance(self.unit, str):
+            raise ValueError(f"{label}: unit is {self.unit!r}; expected a text such as 'V' or '-'")
         if self.free and math.isfinite(self.low) and self.low == self.high:
             object.__setattr__(self, "fixed", self.low)
         one_of(f"{label}: scale", self.scale, SCALES)
@@ -132,10 +134,11 @@ class Parameter:
             )
         if self.fixed is not None and not math.isfinite(self.fixed):
             raise ValueError(f"{label}: fixed is {self.fixed!r}; expected a finite number")
+        ends = f"low is {self.low!r} and high is {self.high!r}"
         if not self.low <= self.high:
-            raise ValueError(
-                f"{label}: low is {self.low!r} and high is {self.high!r}; expected low <= high"
-            )
+            raise ValueError(f"{label}: {ends}; expected low <= high")
+        if self.fixed is not None and not self.low <= self.fixed <= self.high:
+            raise ValueError(f"{label}: fixed is {self.fixed!r}, but {ends}; correct one of them")
 
     @property
     def largest_sigma(self) -> float:

@@ -70,6 +70,8 @@ def test_defaults_follow_from_the_range() -> None:
         ({"std": 0.0}, "above 0"),
         ({"sigma_max": 0.1, "sigma_min": 0.2}, "sigma_min <= sigma_max"),
         ({"sigma_min": -0.1}, "0 <= sigma_min"),
+        ({"fixed": 4.0}, r"fixed is 4.0, but low is -1.0 and high is 3.0; correct one of them"),
+        ({"unit": 0}, "unit is 0; expected a text such as 'V' or '-'"),
     ],
 )
 def test_bad_parameters(settings: dict[str, object], message: str) -> None:
