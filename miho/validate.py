@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from typing import TypeGuard
 
+import numpy as np
+
 
 def is_number(value: object) -> TypeGuard[float]:
     """Return whether `value` is a real number, which may be infinite or NaN, and not a bool."""
@@ -53,6 +55,14 @@ def between_0_and_1(field: str, value: float) -> None:
     """Raise ValueError unless `value` is a number above 0 and below 1."""
     if not is_finite(value) or not 0 < value < 1:
         raise ValueError(f"{field} is {value!r}; expected a number between 0 and 1")
+
+
+def true_or_false(settings: object, names: Iterable[str], none: bool = False) -> None:
+    """Raise ValueError unless the attributes with these names are bools, or None if `none`."""
+    for name in names:
+        value = getattr(settings, name)
+        if not (isinstance(value, bool | np.bool) or (none and value is None)):
+            raise ValueError(f"{name} is {value!r}; expected True or False{', or None' * none}")
 
 
 def settings_at_least(settings: object, names: Iterable[str], low: float) -> None:

@@ -463,6 +463,8 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "_raising raises RuntimeError: no first or second",
     ),
     "huge numbers": ({"y": 1e200 * y}, r"column 'y' of decay reaches \S+e\+200, whose square"),
+    "a word for a switch": ({"compiled": "no"}, "compiled is 'no'; expected True or False"),
+    "a word for known": ({"sigma_known": "false"}, "sigma_known is 'false'; expected True or"),
     "sigma 0": ({"sigma": np.zeros(60)}, "is 0 in row 1"),
     "sigma too small": ({"sigma": 1e-200}, "sigma is 1e-200; expected 1e-140 to"),
     "a row's sigma too small": ({"sigma": np.full(60, 1e-200)}, "is 1e-200 in row 1"),

@@ -29,6 +29,7 @@ from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
+from miho.validate import true_or_false
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
@@ -124,6 +125,7 @@ class CurveFit(Remade, LeastSquaresProblem):
             if not isinstance(part, kind):
                 got = f"got a {type(part).__name__}; miho.fit takes other forms too"
                 raise ValueError(f"a CurveFit needs a {kind.__name__}, {got}")
+        true_or_false(self, ("compiled", "sigma_known"))
         model = model_of(self.model)
         object.__setattr__(self, "space", with_defaults(self.space, model))
         if isinstance(model, FunctionModel):

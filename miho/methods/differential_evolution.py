@@ -11,7 +11,7 @@ import scipy  # loads its subpackages on first use: importing them takes a secon
 from miho.methods.unit_box import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.quantities import Array
-from miho.validate import at_least, one_of, whole
+from miho.validate import at_least, one_of, true_or_false, whole
 
 LEVEL = 1e12
 """Scaled first loss: large enough for the polish to end by its relative tolerance."""
@@ -77,6 +77,7 @@ class DifferentialEvolution(Optimizer):
         one_of("strategy", self.strategy, STRATEGIES)
         whole("popsize", self.popsize, 1, 100_000)
         whole("maxiter", self.maxiter, 1)
+        true_or_false(self, ["polish"])
         for field in ("tol", "atol", "mutation_low", "recombination"):
             at_least(field, getattr(self, field), 0)
         at_least("mutation_high", self.mutation_high, self.mutation_low)

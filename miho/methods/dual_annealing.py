@@ -11,7 +11,7 @@ import scipy  # loads its subpackages on first use: importing them takes a secon
 from miho.methods.unit_box import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.quantities import Array
-from miho.validate import whole
+from miho.validate import true_or_false, whole
 
 LEVEL = 1e3
 """Scaled first loss: about the increase that a step may have at first (5230 / 6)."""
@@ -64,6 +64,7 @@ class DualAnnealing(Optimizer):
 
     def __post_init__(self) -> None:
         whole("maxiter", self.maxiter, 1)
+        true_or_false(self, ["local_search"])
         for field, low, high in (
             ("initial_temp", 0.01, 5e4),
             ("restart_temp_ratio", 0.0, 1.0),

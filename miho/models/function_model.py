@@ -36,7 +36,7 @@ from miho.models.symbolic import (
 )
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
-from miho.validate import is_number
+from miho.validate import is_number, true_or_false
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and the relative tolerance."""
@@ -119,6 +119,7 @@ class FunctionModel(DifferencedModel):
     name: str = field(init=False)
 
     def __post_init__(self) -> None:
+        true_or_false(self, ("batched", "rowwise"), none=True)
         signature, name, source = signature_of(self.function)
         plain = self._plain
         own = (signature if plain is self.function else inspect.signature(plain)).parameters

@@ -22,7 +22,7 @@ from miho.optim.oracle import Oracle
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
 from miho.quantities import Array
-from miho.validate import one_of, whole
+from miho.validate import one_of, true_or_false, whole
 
 PROPOSALS = ("mutation", "fresh")
 NO_NOISE = np.empty(0)
@@ -119,6 +119,7 @@ class MIHO(Resumable[MIHOState]):
         one_of("annealing", self.annealing, ANNEALINGS)
         one_of("clip", self.clip, CLIPS)
         one_of("proposal", self.proposal, PROPOSALS)
+        true_or_false(self, ["early_stopping"])
         first = self.table()[0].n
         if first > LARGEST_BATCH:
             raise ValueError(

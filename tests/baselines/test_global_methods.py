@@ -79,5 +79,7 @@ def test_unusable_settings_are_refused() -> None:
         DifferentialEvolution(mutation_high=0.2)
     with pytest.raises(ValueError, match=r"recombination is 1\.5"):
         DifferentialEvolution(recombination=1.5)
+    with pytest.raises(ValueError, match=r"polish is 'no'; expected True or False"):
+        DifferentialEvolution(polish="no")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"visit is 3\.5; expected above 1, at most 3"):
         DualAnnealing(visit=3.5)

@@ -148,6 +148,8 @@ def test_settings_that_do_not_fit_are_refused(load: Callable[..., Model], tmp_pa
     with pytest.raises(ValueError, match=r"linear is \('z',\); expected.*among a, b"):
         load(DECAY, linear=["z"])
     assert load(DECAY + DECAY.replace("decay", "_own"), function="_own").name == "_own"
+    with pytest.raises(ValueError, match="batched is 'no'; expected True or False, or None"):
+        load(DECAY, batched="no")
     with pytest.raises(FileNotFoundError):
         load_function(str(tmp_path / "none.py"))
     with pytest.raises(ValueError, match="not a function with a signature; wrap it"):

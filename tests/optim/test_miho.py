@@ -107,6 +107,7 @@ def test_it_finds_the_optimum_of_a_smooth_problem() -> None:
         ({"sampling": "grid"}, "one of normal"),
         ({"annealing": "cosine"}, "one of linear"),
         ({"clip": "upper"}, "one of box"),
+        ({"early_stopping": "no"}, "early_stopping is 'no'; expected True or False"),
     ],
 )
 def test_bad_settings(settings: dict[str, object], message: str) -> None:
