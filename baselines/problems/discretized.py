@@ -64,7 +64,7 @@ def _laplacian(u: Values, axes: int) -> Values:
 def bratu(axes: int, weight: float, x: Values, m: int) -> Values:
     """Bratu's equation on the inner points of a square or a cube: -h^2 (Laplace u + w exp u)."""
     p = round(len(x) ** (1 / axes))
-    u = x.reshape(*(p,) * axes, -1)
+    u = x.reshape(*(p,) * axes, x.shape[1])
     return (_laplacian(u, axes) - weight / (p + 1) ** 2 * np.exp(u)).reshape(len(x), -1)
 
 

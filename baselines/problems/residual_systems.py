@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -18,6 +19,8 @@ SYSTEMS: Mapping[str, System] = {
 }  # fmt: skip
 STEP = 1e-30
 """Size of the complex step; its square is below the rounding error of numbers of usual size."""
+LONGEST = 100
+"""Lengths up to this one are tried for an error message."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class ResidualSystem(Model):
     Raises
     ------
     ValueError
-        If there is no such system, or the length is below 1.
+        If there is no such system, or none of this length.
 
     Examples
     --------
@@ -60,6 +63,10 @@ class ResidualSystem(Model):
         if self.system not in SYSTEMS:
             raise ValueError(f"system is {self.system!r}; choose from {', '.join(SYSTEMS)}")
         whole("length", self.length, 1)
+        if not _has_length(self.published, self.length):
+            lengths = (n for n in range(1, LONGEST + 1) if _has_length(self.published, n))
+            some = ", ".join(map(str, islice(lengths, 5)))
+            raise ValueError(f"length is {self.length}; {self.system} has lengths such as {some}")
 
     @property
     def name(self) -> str:
@@ -102,6 +109,8 @@ class ResidualSystem(Model):
             Residuals.
         """
         (row,) = inputs
+        if row.size and row.max() > self.size:
+            raise ValueError(f"row is {row.max():g}; {self.name} has the rows 1 to {self.size}")
         return self._residuals(thetas)[:, row.astype(int) - 1]
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
@@ -127,3 +136,14 @@ class ResidualSystem(Model):
         """All residuals (n, m) of parameter rows (n, d); NaN or infinite without a value."""
         with np.errstate(all="ignore"):
             return np.asarray(self.published.residuals(np.ascontiguousarray(thetas.T), self.size).T)
+
+
+def _has_length(system: System, length: int) -> bool:
+    """Whether a system has a start and residuals of this number of variables."""
+    try:
+        start = np.tile(np.array(system.start(length), dtype=float)[:, None], 2)
+        with np.errstate(all="ignore"):
+            values = np.asarray(system.residuals(start, system.size(length)))
+    except (ValueError, IndexError, ZeroDivisionError):
+        return False
+    return len(start) == length and values.size > 0 and values.shape == (system.size(length), 2)

@@ -130,5 +130,13 @@ def test_wrong_names_and_lengths_are_refused() -> None:
         ResidualSystem("rosen", 2)
     with pytest.raises(ValueError, match="length is 0; expected a whole number of at least 1"):
         ResidualSystem("rosenbrock", 0)
+    with pytest.raises(ValueError, match=r"length is 3; rosenbrock has lengths such as 2$"):
+        ResidualSystem("rosenbrock", 3)
+    with pytest.raises(
+        ValueError, match="length is 12; bratu2d has lengths such as 1, 4, 9, 16, 25"
+    ):
+        ResidualSystem("bratu2d", 12)
+    with pytest.raises(ValueError, match="row is 3; rosenbrock_2 has the rows 1 to 2"):
+        ResidualSystem("rosenbrock", 2).predict(np.ones((1, 2)), np.array([3.0]))
     with pytest.raises(ValueError, match="rows is 0; expected a whole number of at least 1"):
         zero_residuals(0)
