@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from miho.fitting.protocols import Template
     from miho.parallel import Evaluations, Workers
 
-EDGE = 1e-6
-"""A value closer than this share of a range to one of its ends counts as at the edge."""
-
 
 def fit(
     model: Model | Callable[..., Any] | Template | str | os.PathLike[str],
@@ -238,7 +235,9 @@ def fit(
                 return searched(problem, method, budget, seed, evaluations)
             fit = descended(problem, start, evaluations)
             if sought is not own:
-                _check_within(sought, own, fit.values)
+                from miho.identification.constraints import check_within
+
+                check_within(sought, own, fit.values)
             return fit
 
         if not settles:
@@ -250,22 +249,6 @@ def fit(
             return solved(replace(first, model=whole, space=box, prior_scale=scale, expensive=True))
 
         return settled(bounds, weighed, evaluations)
-
-
-def _check_within(sought: Space, own: Space, values: Mapping[str, float]) -> None:
-    """Raise ValueError if the optimum is at an edge of a range that only dense constraints needed.
-
-    Ranges of `sought` that differ from the ranges of `own` are such ranges; an end at their edge is
-    no optimum.
-    """
-    for near, far in zip(sought.parameters, own.parameters, strict=True):
-        slack = EDGE * (near.high - near.low)
-        within = near.low + slack < values[near.name] < near.high - slack
-        if (near.low, near.high) != (far.low, far.high) and not within:
-            raise ValueError(
-                f"constraints: {near.name} ends at {values[near.name]:g}, the edge of the range "
-                f"from {near.low:g} to {near.high:g} about its start; give bounds"
-            )
 
 
 def descended(

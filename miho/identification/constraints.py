@@ -34,6 +34,8 @@ from miho.radial_map import RadialMap
 THIN = 1e-9
 """A set narrower than this share of the box in some direction is empty; an inequality that removes
 less than this is redundant."""
+EDGE = 1e-6
+"""A value closer than this share of a range to one of its ends counts as at the edge."""
 SMALL = 1e-12
 """A coefficient below this share of the largest is rounding."""
 MOST = 500
@@ -105,6 +107,22 @@ def free_values(space: Space, ties: Ties | None, values: Mapping[str, float]) ->
             theta[k] = np.log(value / low) / np.log(high / low) if log else (
                 (value - low) / (high - low))  # fmt: skip
     return theta
+
+
+def check_within(sought: Space, own: Space, values: Mapping[str, float]) -> None:
+    """Raise ValueError if the optimum is at an edge of a range that only dense constraints needed.
+
+    Ranges of `sought` that differ from the ranges of `own` are such ranges; an end at their edge is
+    no optimum.
+    """
+    for near, far in zip(sought.parameters, own.parameters, strict=True):
+        slack = EDGE * (near.high - near.low)
+        within = near.low + slack < values[near.name] < near.high - slack
+        if (near.low, near.high) != (far.low, far.high) and not within:
+            raise ValueError(
+                f"constraints: {near.name} ends at {values[near.name]:g}, the edge of the range "
+                f"from {near.low:g} to {near.high:g} about its start; give bounds"
+            )
 
 
 class _TooLongError(Exception):
