@@ -118,6 +118,19 @@ def test_one_line_says_that_the_machine_of_formulas_was_not_built() -> None:
     assert len(process.stderr.splitlines()) == 1
 
 
+@pytest.mark.parametrize(("sign", "bound"), [(-1, 0.0), (1, 0.3)])
+def test_a_parameter_ends_at_its_bound_and_not_near_it(sign: int, bound: float) -> None:
+    data = y + sign
+    start = {"a": 1.0, "b": 1.0, "c": 0.1}
+    box = BOX | {"c": (0.0, 0.3)}
+
+    def shifted(t, a, b, c):
+        return decay(t, a, b) + min(c, 1.0)  # which is not traced
+
+    assert miho.fit(shifted, t, data, box, start=start).values["c"] == bound
+    assert miho.fit(shifted, t, data, box, method="least_squares").values["c"] == bound
+
+
 def test_a_start_takes_the_place_of_bounds() -> None:
     theta, _ = curve_fit(decay, t, y, [1.0, 1.0], xtol=1e-12)
     fit = miho.fit(decay, t, y, start={"a": 1, "b": 1}, compiled=False)

@@ -13,9 +13,9 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline
 from miho.identification.line_wrapping import with_unit
-from miho.identification.refit import Refit, refit
+from miho.identification.refit import AT_BOUND, Refit, refit
 from miho.identification.stated import reported_space, reported_uncertainty
-from miho.identification.uncertainty import AT_BOUND, Linearised, linearised
+from miho.identification.uncertainty import Linearised, linearised
 from miho.optim.trace import Minimum, in_place
 from miho.quantities import Array
 

@@ -22,6 +22,11 @@ STANDSTILL = 1e-8
 """A descent has converged if its second half gains less than this fraction of the sum of
 squares."""
 
+AT_BOUND = 1e-10
+"""A parameter is at a bound if it is this close, as a fraction of its range: the range of a
+parameter without bounds is a million times its start."""
+ROUNDING = 1e-12
+"""Increase of the sum of squares, as a fraction, that counts as rounding."""
 AT_OPTIMUM = 1e-16
 """A start is the optimum if the linear model predicts a gain of less than this fraction of the sum
 of squares, which is a distance of 1e-8 sqrt(N) standard errors."""
@@ -123,6 +128,7 @@ def refit(
         costs = objective.costs
         halfway = costs[(len(costs) + 1) // 2]
         converged = solution.status > 0 or costs[-1] >= (1 - STANDSTILL) * halfway
+        objective.move_to_bounds()
     except _Stationary:
         converged = True
     except (_NoDerivatives, OutOfTimeError):
@@ -175,13 +181,21 @@ class _Objective:
             self._root = np.ones(problem.residual_count)
             self._root[: weights.size] = np.sqrt(weights)
         self._logarithmic = np.array([p.scale == "log" for p in space.parameters])
-        share = (space.encode(self._start) - self._low) / (self._high - self._low)
-        self.first = np.clip(share[self._free], 0.0, 1.0)
+        self.first = np.clip(self._shares(self._start), 0.0, 1.0)
         self.costs = [math.inf]
 
     def is_first(self, part: Array) -> bool:
         """Whether `part` (f,) is the start."""
         return np.array_equal(part, self.first)
+
+    def move_to_bounds(self) -> None:
+        """Move the best point to bounds that it is at, which the solver only approaches."""
+        shares = self._shares(self.best)
+        part = np.where(np.abs(shares - shares.round()) <= AT_BOUND, shares.round(), shares)
+        if not np.array_equal(part, shares):
+            r = self.residuals(part)
+            if r @ r <= (1 + ROUNDING) * self.costs[-1]:
+                self.best = self._configuration(part)
 
     def end(self, converged: bool) -> Refit:
         """The best point so far, moved along the limits of tied parameters."""
@@ -241,6 +255,11 @@ class _Objective:
         if not derivatives.any():
             raise _Stationary  # SciPy would divide by 0
         return np.asarray(derivatives if self._root is None else derivatives * self._root[:, None])
+
+    def _shares(self, theta: Array) -> Array:
+        """The free parameters (f,) of a configuration (d,)."""
+        shares = (self._problem.space.encode(theta) - self._low) / (self._high - self._low)
+        return np.asarray(shares[self._free])
 
     def _configuration(self, part: Array) -> Array:
         """The configuration (d,) with free parameters `part` (f,)."""

@@ -13,13 +13,11 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import Dependence, dependent, events_of, series_of
 from miho.identification.inverse_root import INVOLVED, inverse_root
 from miho.identification.line_wrapping import with_unit
+from miho.identification.refit import AT_BOUND
 from miho.models.model import Model
 from miho.optim.space import Space
 from miho.quantities import Array
 
-AT_BOUND = 1e-10
-"""A parameter is at a bound if it is this close, as a fraction of its range: descents reach bounds
-up to rounding, and the range of a parameter without bounds is a million times its start."""
 ALONE = 1e-8
 """A row alone determines its prediction if at most this fraction of its error is left."""
 
