@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import pkgutil
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import miho
+from experiments import REMOVED
 from miho.moved import new_name
 
 PACKAGES = ["miho", "baselines.problems", *(f"miho.{name}" for name in (
@@ -94,6 +97,14 @@ def test_modules_are_attributes_and_nothing_else_is() -> None:
 def test_a_removed_name_names_its_successor() -> None:
     with pytest.raises(ImportError, match="AsynchronousMIHO was removed; use AsynchronousMIHOGN"):
         exec("from miho.optim import AsynchronousMIHO")
+
+
+def test_a_removed_command_names_its_successor() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"was removed; use miho\.load_runs"):
+        importlib.import_module("experiments.export")
+    for remedy in REMOVED.values():
+        for name in re.findall(r"experiments[.\w]+", remedy):
+            assert importlib.util.find_spec(name), name
 
 
 @pytest.mark.parametrize(
