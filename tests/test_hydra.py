@@ -156,6 +156,21 @@ def test_a_single_run_leaves_hydras_record(typed: Typed) -> None:
     assert "hydra" in yaml.safe_load(overrides.with_name("hydra.yaml").read_text())
 
 
+def test_paths_begin_in_the_folder_of_the_command_if_the_job_changes_it(
+    typed: Typed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(
+        'def curve(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":\n'
+        "    return D * C * B * (alpha + Sx) + Sy\n"
+    )
+    paths = ("model=function", "model.path=mine.py", "root=here")
+    ended = typed(*paths, "hydra.job.chdir=true")
+    assert ended.code == 0, ended.err
+    assert Path.cwd() == tmp_path
+    assert len(load_runs("here").runs) == 1
+
+
 def test_each_job_of_a_sweep_leaves_hydras_record(typed: Typed, tmp_path: Path) -> None:
     place = tmp_path / "elsewhere"
     subdir = "hydra.sweep.subdir=${hydra.job.override_dirname}"
