@@ -221,8 +221,8 @@ def _node(group: str, name: str) -> str:
     text = source(group, name)
     if not text.startswith(WHOLE):
         return text
-    found = re.search(rf"^{re.escape(group)}:.*\n((?: .*\n?)*)", text, re.MULTILINE)
-    return found[1] if found else ""
+    match = re.search(rf"^{re.escape(group)}:.*\n((?: .*\n?)*)", text, re.MULTILINE)
+    return match[1] if match else ""
 
 
 def one_line(error: BaseException) -> str:

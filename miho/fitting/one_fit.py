@@ -191,14 +191,14 @@ def fit(
 
         rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     # The space; without bounds, dense constraints need a narrower one.
-    given = chosen, space, start, fixed, tied
-    own = sought = bounds = space_of(*given)
+    arguments = chosen, space, start, fixed, tied
+    own = sought = bounds = space_of(*arguments)
     if constraints or not isinstance(constraints, tuple):
         from miho.identification.constraints import constrained, free_values
 
         bounds = constrained(sought, constraints)
         if bounds.radial is not None:
-            sought = space_of(*given, reach=DENSE)
+            sought = space_of(*arguments, reach=DENSE)
             bounds = constrained(sought, constraints)
         if start is not None:  # a bad start is reported before the model is called
             from miho.identification.ties import ties_of

@@ -51,12 +51,12 @@ def searches_period(problem: CurveFit) -> bool:
     """
     space = problem.space
     thetas = space.decode(space.initial(STARTS))
-    one = np.repeat(thetas[:1], 2 * len(space), axis=0)  # one parameter at an end, for each end
-    np.fill_diagonal(one[: len(space)], space.low)
-    np.fill_diagonal(one[len(space) :], space.high)
+    ends = np.repeat(thetas[:1], 2 * len(space), axis=0)  # with one parameter at an end
+    np.fill_diagonal(ends[: len(space)], space.low)
+    np.fill_diagonal(ends[len(space) :], space.high)
     return any(
         isinstance(model, Expression) and _has_a_period(model, columns, values)
-        for model, columns, values in _parts(problem, np.concatenate([thetas, one]))
+        for model, columns, values in _parts(problem, np.concatenate([thetas, ends]))
     )
 
 

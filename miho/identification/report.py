@@ -149,11 +149,11 @@ class Report:
                 "of the run": reported_values(self.problem, self.run[None])[0],
             }
         )
-        each = [at, *(reported_uncertainty(self.problem, other) for other in self.others)]
-        values = [one.theta for one in each]
+        optima = [at, *(reported_uncertainty(self.problem, other) for other in self.others)]
+        values = [each.theta for each in optima]
         ends = {
-            "linearised": hull(values, [one.intervals(self.level) for one in each]),
-            "sandwich": hull(values, [one.by_sandwich.intervals(self.level) for one in each]),
+            "linearised": hull(values, [each.intervals(self.level) for each in optima]),
+            "sandwich": hull(values, [each.by_sandwich.intervals(self.level) for each in optima]),
         }
         if any(self.profiles):
             no_interval = (math.nan, math.nan)
@@ -196,10 +196,11 @@ class Report:
                 "sandwich": delta_method(quantity, self.at.by_sandwich)[1],
             }
             optima = (self.at, *self.others)
-            values = [quantity.evaluate(one.theta[None]) for one in optima]
-            by_kind = {"linearised": optima, "sandwich": [one.by_sandwich for one in optima]}
+            values = [quantity.evaluate(optimum.theta[None]) for optimum in optima]
+            robust = [optimum.by_sandwich for optimum in optima]
+            by_kind = {"linearised": optima, "sandwich": robust}
             for kind, each in by_kind.items():
-                intervals = [interval_of(quantity, one, self.level) for one in each]
+                intervals = [interval_of(quantity, optimum, self.level) for optimum in each]
                 row[f"{kind} low"], row[f"{kind} high"] = hull(values, intervals)[0]
             if quantity.tied in self.tied_profiles:
                 profile = self.tied_profiles[quantity.tied]

@@ -70,9 +70,9 @@ def _with_best_intervals(derived: pd.DataFrame) -> pd.DataFrame:
             continue
         known = [kind for kind in KINDS if not math.isnan(row.get(f"{kind} low", math.nan))]
         kind = known[0] if known else KINDS[-1]
-        kept = {key: row[key] for key in ("quantity", "value", "unit", "standard error")}
+        common = {key: row[key] for key in ("quantity", "value", "unit", "standard error")}
         rows.append(
-            {**kept, "low": row[f"{kind} low"], "high": row[f"{kind} high"], "interval": kind}
+            {**common, "low": row[f"{kind} low"], "high": row[f"{kind} high"], "interval": kind}
         )
     return pd.DataFrame(rows)
 

@@ -178,10 +178,10 @@ class _Nodes:
     def _multiplied_out(self, base: int, exponent: int) -> int:
         """Return the node of an integer power, by repeated squaring."""
         if exponent <= 0:
-            one = self.add(CONSTANTS, 1.0)
-            return (
-                one if not exponent else self.add("DIV", one, self._multiplied_out(base, -exponent))
-            )
+            unity = self.add(CONSTANTS, 1.0)
+            if not exponent:
+                return unity
+            return self.add("DIV", unity, self._multiplied_out(base, -exponent))
         if exponent == 1:
             return base
         half = self._multiplied_out(base, exponent // 2)

@@ -100,9 +100,9 @@ class Tracker(Running):
             problem = problem.problem
         self.settings = settings_of(settings)
         positive("period", period)
-        for name, given in (("changes", changes), ("input_noise", input_noise)):
-            if given is not None and not isinstance(given, Mapping):
-                raise ValueError(f"{name} is {given!r}; expected a number for each name")
+        for name, values in (("changes", changes), ("input_noise", input_noise)):
+            if values is not None and not isinstance(values, Mapping):
+                raise ValueError(f"{name} is {values!r}; expected a number for each name")
         self.period = float(period)
         self._motion = problem if is_motion(problem) else None
         self._steps: StepRows | None = None

@@ -197,11 +197,11 @@ def minimize(
     ('converged', array([1., 2.]))
     """
     space, name = (problem.space, problem.name) if isinstance(problem, Problem) else (None, None)
-    given = optimizer, problem, space, name, budget, seed
-    if not all(map(isinstance, given, (Optimizer, Problem, Space, str, Budget | None, int))):
+    arguments = optimizer, problem, space, name, budget, seed
+    if not all(map(isinstance, arguments, (Optimizer, Problem, Space, str, Budget | None, int))):
         from miho.optim.refused_arguments import checked_seed
 
-        seed = checked_seed(*given)
+        seed = checked_seed(*arguments)
     if problem.space.free is not problem.space:
         raise ValueError(
             f"{problem.name}: expected free parameters only; use a CurveFit for fixed and tied ones"

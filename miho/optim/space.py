@@ -191,11 +191,11 @@ class Space:
     radial: RadialMap | None = None
 
     def __post_init__(self) -> None:
-        given = tuple(self.parameters) if isinstance(self.parameters, Iterable) else ()
-        if not given or not all(isinstance(parameter, Parameter) for parameter in given):
-            one = "at least one parameter, for example miho.Parameter('a', 'V', 0, 5)"
-            raise ValueError(f"space: expected {one}; got {self.parameters}")
-        object.__setattr__(self, "parameters", given)
+        parameters = tuple(self.parameters) if isinstance(self.parameters, Iterable) else ()
+        if not parameters or not all(isinstance(parameter, Parameter) for parameter in parameters):
+            example = "at least one parameter, for example miho.Parameter('a', 'V', 0, 5)"
+            raise ValueError(f"space: expected {example}; got {self.parameters}")
+        object.__setattr__(self, "parameters", parameters)
         if len(set(self.names)) != len(self.names):
             raise ValueError(f"parameter names must differ; got {', '.join(self.names)}")
 

@@ -78,8 +78,8 @@ class LearningDriver:
             planned = max(STEP * round(now / STEP), LEAST)
         knowing = self._knowing(planned)
         if changed or state.plan is not knowing.plan:
-            kept = self.planner.entry_reserve
-            friction = knowing.plan.friction._replace(mu=planned * (1 - kept))
+            reserve = self.planner.entry_reserve
+            friction = knowing.plan.friction._replace(mu=planned * (1 - reserve))
             brake = -self.planner.slowest_rate
             plan = slowed_from(knowing.plan, friction, state.at, motion.vx, brake)
             if changed or plan is knowing.plan:
