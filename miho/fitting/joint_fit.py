@@ -137,10 +137,8 @@ def fit_joint(
     tied = by_label("tied", tied)
     if start is not None and not (method is None and budget is None):  # else the search checks
         from miho.fitting.named import method_of
-        from miho.optim.refused_arguments import check_budget
 
-        method = None if method is None else method_of(method)
-        check_budget(budget)
+        method = method_of(method, budget)
     local = [local] if isinstance(local, str) else local
     largest = largest_values((space, tied, start, fixed))
     measured = {}

@@ -10,7 +10,8 @@ import numpy as np
 
 from miho.identification.loss import Loss, Square
 from miho.identification.robust_loss import Cauchy, Huber
-from miho.optim import Optimizer
+from miho.optim import MIHOGN, Budget, Optimizer
+from miho.optim.refused_arguments import check_budget
 
 METHODS = {
     "cluster_gauss_newton": "ClusterGaussNewton",
@@ -40,8 +41,14 @@ EFFICIENT: dict[str, tuple[type[Huber | Cauchy], float]] = {
 errors, keeps 95 % of the efficiency of least squares."""
 
 
-def method_of(method: object) -> Optimizer:
-    """The method of a name; a method itself is returned unchanged. Raises ValueError otherwise."""
+def method_of(method: object, budget: Budget | None = None) -> Optimizer:
+    """The method of a name, or the default one of None; a method itself is returned unchanged.
+
+    Raises ValueError otherwise, and for a budget of another type.
+    """
+    check_budget(budget)
+    if method is None:
+        return MIHOGN()
     if isinstance(method, Optimizer):
         return method
     if isinstance(method, type):

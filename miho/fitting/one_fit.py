@@ -161,10 +161,8 @@ def fit(
     """
     if not (method is None and budget is None):
         from miho.fitting.named import method_of
-        from miho.optim.refused_arguments import check_budget
 
-        method = None if method is None else method_of(method)
-        check_budget(budget)
+        method = method_of(method, budget)
     from_journal = isinstance(start, str)
     if isinstance(start, str):
         from miho.fitting.expensive_fit import check_start

@@ -62,10 +62,8 @@ def searched(
     """
     if not (method is None and budget is None):
         from miho.fitting.named import method_of
-        from miho.optim.refused_arguments import check_budget
 
-        method = None if method is None else method_of(method)
-        check_budget(budget)
+        method = method_of(method, budget)
     method, budget = method or DEFAULT, budget or Budget()
     called = by_calls(problem, compared_at(problem), evaluations)
     if called is not None:
