@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import scipy  # loads its subpackages at first use: importing them takes a second
 
+from miho.optim.seeds import stream
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ FEWEST = 3
 SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
 """Largest numbers of rows that `irreducible_square` uses: for one input, which is sorted, and for
 several, because the search for nearest neighbours takes longer."""
+TIED = 1e-9
+"""Random offsets that decide between equally near points, as a fraction of the spread of an
+input."""
 
 
 class Irreducible(NamedTuple):
@@ -49,8 +53,6 @@ def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
     X, y = np.array(inputs)[:, sample], y[sample]
     if len(X) == 1:
         return _high(_scatter(X[0], y)) ** 2
-    from miho.identification.irreducible_inputs import irreducible_limit
-
     return irreducible_limit(X, y) ** 2
 
 
@@ -112,6 +114,32 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     bend = max(0.0, float(np.mean(np.concatenate(wider) ** 2)) - scatter.square)
     lowest = _over_chi_squared(scatter, (1 - level) / 2) - bend
     return Irreducible(value, math.sqrt(max(0.0, lowest)), high)
+
+
+def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
+    """Upper limit of the irreducible error for several inputs X (p, N), in the unit of y.
+
+    For independent errors, the mean of half the squared difference of two points is the variance
+    of the noise plus a contribution from the change of the function between the points. The limit
+    is too large if points are far apart, and distances grow with the number of inputs. Pairs are
+    mutual nearest neighbours, with each input in units of its spread, so no two pairs share a
+    point. Chance decides between neighbours at the same distance, for example on a grid. The limit
+    is infinite for fewer than five pairs.
+    """
+    spread = X.std(axis=1, keepdims=True)
+    Z = ((X - X.mean(axis=1, keepdims=True)) / np.where(spread > 0, spread, 1.0)).T
+    Z += TIED * stream("neighbours").standard_normal(Z.shape)
+    nearest = np.asarray(scipy.spatial.cKDTree(Z).query(Z, k=2)[1])[:, 1]
+    own = np.arange(y.size)
+    pairs = own[(nearest[nearest] == own) & (own < nearest)]
+    squares = (y[pairs] - y[nearest[pairs]]) ** 2 / 2
+    if pairs.size < 5:
+        return math.inf
+    if not squares.any():
+        return 0.0
+    # For normal errors e, e^4 / 3 estimates the square of the variance, as in `_variance`.
+    freedom = 3 * float(squares.sum()) ** 2 / float((squares**2).sum())
+    return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, (1 + level) / 2))
 
 
 def irreducible_of(problem: CurveFit) -> Irreducible:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from miho.identification import irreducible_error
-from miho.identification.irreducible import irreducible_interval
-from miho.identification.irreducible_inputs import irreducible_limit
+from miho.identification.irreducible import irreducible_interval, irreducible_limit
 
 
 def test_it_finds_the_noise_of_a_smooth_curve() -> None:
