@@ -6,28 +6,14 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-LIGHT_METHODS = {
-    "cluster_gauss_newton": ("ClusterGaussNewton",),
-    "differential_evolution": ("DifferentialEvolution",),
-    "dual_annealing": ("DualAnnealing",),
-    "gbo": ("GBO",),
-    "hickernell_yuan": ("HickernellYuan",),
-    "hyperband": ("Hyperband", "SuccessiveHalving"),
-    "least_squares": ("LeastSquares",),
-    "local_search": ("LBFGSB", "NelderMead"),
-    "pso": ("PSO",),
-    "scatter_search": ("ScatterSearch",),
-    "tiktak": ("TikTak",),
-    "variable_projection": ("VariableProjection",),
-}
+LIGHT_METHODS = (
+    "cluster_gauss_newton", "differential_evolution", "dual_annealing", "gbo", "hickernell_yuan",
+    "hyperband", "least_squares", "local_search", "pso", "scatter_search", "tiktak",
+    "variable_projection",
+)  # fmt: skip
 """Former modules of `baselines`, whose methods are in `miho.methods`."""
 MOVED = {
     **{f"baselines.{module}": "miho.methods" for module in LIGHT_METHODS},
-    **{
-        f"baselines.{module}.{name}": f"miho.methods.{name}"
-        for module, names in LIGHT_METHODS.items()
-        for name in names
-    },
     "miho.driving": "miho.vehicle.driving",
     "miho.compiled.climb": "miho.compiled.taped",
     "miho.compiled.workspace": "miho.compiled.gauss_newton",
@@ -103,7 +89,11 @@ SETTINGS = {
 }
 """Present names of the settings of METHODS, by former ones."""
 METHODS = ("MIHOGN", "AsynchronousMIHOGN", "MIHOQN")
-PACKAGES = {"miho.data": "miho.vehicle.data", "miho.models": "miho.vehicle.models"}
+PACKAGES = {
+    "miho.data": "miho.vehicle.data",
+    "miho.models": "miho.vehicle.models",
+    **{f"baselines.{module}": "miho.methods" for module in LIGHT_METHODS},
+}
 """Packages of which some names and modules moved to another package."""
 
 

@@ -16,7 +16,7 @@ from experiments.app.safety import HOMES, TargetError, allowed, find_target, nes
 from experiments.app.schema import register
 from miho.data import Dataset
 from miho.models import Model
-from miho.moved import MOVED, with_present_names
+from miho.moved import MOVED, new_name, with_present_names
 from miho.optim import Optimizer
 from miho.vehicle.models import Pacejka
 
@@ -74,9 +74,12 @@ def test_a_light_method_is_in_one_place_and_its_settings_can_be_pickled() -> Non
         assert pickle.loads(pickle.dumps(settings)) == settings
 
 
-@pytest.mark.parametrize("former", MOVED)
+@pytest.mark.parametrize(
+    "former", [*MOVED, "baselines.pso.PSO", "baselines.local_search.NelderMead"]
+)
 def test_a_former_name_is_answered_with_the_present_one(former: str) -> None:
-    present = MOVED[former]
+    present = new_name(former)
+    assert present is not None
     for kind in (kind for kind in HOMES if present in allowed(kind)):
         with pytest.raises(TargetError) as caught:
             find_target(former, kind)
