@@ -138,6 +138,33 @@ def test_a_start_takes_the_place_of_bounds() -> None:
     assert "a single search" in fit.optimum
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1e-12, 1e-60])
+@pytest.mark.parametrize("formula", [True, False])
+def test_a_descent_from_a_start_reaches_the_optimum_in_any_unit(
+    scale: float, formula: bool
+) -> None:
+    """The range of a parameter without bounds is 1e6 or more, and its value is 1e-4 or less."""
+
+    def scaled(t, a, b):
+        return decay(t, a, b / scale) if formula or a < 1e300 else t
+
+    theta, covariance = curve_fit(decay, t, y, [1.0, 1.0], xtol=1e-12)
+    fit = miho.fit(scaled, t, y, start={"a": 1, "b": 0.5 * scale})
+    assert fit.theta / [1, scale] == pytest.approx(theta, rel=DIGITS)
+    errors = fit.parameters["standard_error"] / [1, scale]
+    assert errors.to_numpy() == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
+
+
+@pytest.mark.parametrize("formula", [True, False])
+def test_a_start_may_be_far_from_a_tiny_optimum(formula: bool) -> None:
+    def straight(x, a, b):
+        return a + b * x if formula or a < 1e300 else x
+
+    slope, offset = np.polyfit(t, y, 1)
+    fit = miho.fit(straight, t, 1e-30 * y, start={"a": 1, "b": 1})
+    assert 1e30 * fit.theta == pytest.approx([offset, slope], rel=DIGITS)
+
+
 def test_tied_and_fixed_parameters_are_as_substituted_ones() -> None:
     """a (exp(-b t)) + (3 - a) exp(-(b + gap) t), written out and tied."""
     values = two(t, 1.0, 0.7, 2.0, 4.0) + 0.01 * noise

@@ -14,7 +14,7 @@ from miho.fitting.datasets import check_bounds
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
-from miho.fitting.one_fit import descended
+from miho.fitting.one_descent import descended
 from miho.fitting.search import searched
 from miho.fitting.signs import largest_values
 from miho.identification.alternatives import optima_table

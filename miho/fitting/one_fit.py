@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from miho.fitting.arguments import DENSE, by_label, data_of, space_of
 from miho.fitting.fit_result import Fit
-from miho.fitting.search import by_calls, check_repeats, searched, spread, title
+from miho.fitting.search import searched, spread
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
-from miho.identification.refit import refit
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Space
-from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.fitting.expensive_fit import JournalPath
@@ -227,10 +222,13 @@ def fit(
         def solved(problem: CurveFit) -> Fit:
             if from_journal:
                 from miho.fitting.expensive_fit import best_known
+                from miho.fitting.one_descent import descended
 
                 return descended(problem, best_known(spread(problem, evaluations)), evaluations)
             if start is None:
                 return searched(problem, method, budget, seed, evaluations)
+            from miho.fitting.one_descent import descended
+
             fit = descended(problem, start, evaluations)
             if sought is not own:
                 from miho.identification.constraints import check_within
@@ -247,38 +245,3 @@ def fit(
             return solved(replace(first, model=whole, space=box, prior_scale=scale, expensive=True))
 
         return settled(bounds, weighed, evaluations)
-
-
-def descended(
-    problem: CurveFit, start: Mapping[str, float], evaluations: Evaluations | None = None
-) -> Fit:
-    """Fit at the end of one descent from a start of every free parameter."""
-    model = problem.model
-    theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
-    if model.ties is not None:
-        from miho.identification.constraints import free_values
-
-        theta = free_values(problem.space, model.ties, start)
-    rows = problem.machine_rows
-    if rows is not None:
-        from miho.optim.gauss_newton_descent import descended as descended_by_machine
-
-        theta = _better(problem, descended_by_machine(rows, problem.space, theta), theta)
-    descent = refit(spread(problem, evaluations), theta)
-    if not math.isfinite(descent.cost):
-        raise ValueError(f"{title(problem)}: the loss at the start is not finite; give another one")
-    called = by_calls(problem, descent.theta[None], evaluations)
-    if called is not None:
-        return descended(called, start)
-    check_repeats(problem, descent.theta, descent.cost, evaluations)
-    return Fit(problem, descent.theta, descent.theta, moving=descent.moving)
-
-
-def _better(problem: CurveFit, end: Array, start: Array) -> Array:
-    """The end of a descent by the machine, or its start if the end is no better by NumPy.
-
-    A formula may give other values for arrays than on the machine.
-    """
-    with np.errstate(all="ignore"):
-        squares = (problem.residual_rows(np.array([end, start])) ** 2).sum(axis=1)
-    return end if squares[0] <= squares[1] or math.isnan(squares[1]) else start

@@ -21,6 +21,8 @@ EVALUATIONS = 200
 STANDSTILL = 1e-8
 """A descent has converged if its second half gains less than this fraction of the sum of
 squares."""
+FINE = 1e5
+"""A range is too wide as a scale if it changes the predictions by this multiple of the output."""
 
 AT_BOUND = 1e-10
 """A parameter is at a bound if it is this close, as a fraction of its range: the range of a
@@ -120,8 +122,9 @@ def refit(
         if at_optimum(start_slopes, start_values, objective.first):
             return objective.end(converged=True)
         with np.errstate(all="ignore"):  # SciPy divides by 0 for a parameter without an effect
+            start_slopes = objective.rescaled(start_slopes, start_values)
             solution = scipy.optimize.least_squares(
-                residuals, objective.first, jac=jacobian, bounds=(0.0, 1.0), x_scale="jac",
+                residuals, objective.first, jac=jacobian, bounds=objective.bounds, x_scale="jac",
                 ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=evaluations,
             )  # fmt: skip
         # SciPy continues along directions that the data do not determine, and gains nothing.
@@ -133,7 +136,12 @@ def refit(
         converged = True
     except (_NoDerivatives, OutOfTimeError):
         converged = False
-    return objective.end(bool(converged))
+    end, left = objective.end(bool(converged)), evaluations - len(objective.costs) + 1
+    if left > 0 and objective.is_rescaled and end.cost < objective.costs[1] / FINE**2:
+        # The scale of the start is too coarse here.
+        again = refit(problem, end.theta, weights, fixed, tolerance, left, deadline, pin)
+        return again._replace(evaluations=evaluations - left + again.evaluations)
+    return end
 
 
 def at_optimum(J: Array, r: Array, part: Array) -> bool:
@@ -155,7 +163,8 @@ def at_optimum(J: Array, r: Array, part: Array) -> bool:
 class _Objective:
     """Residuals as a function of the free parameters, scaled to 0 to 1 between their bounds.
 
-    The solver then works in any unit, as it has no absolute tolerance. `first` (f,) is the start in
+    The solver then works in any unit, as it has no absolute tolerance. `rescaled` chooses a finer
+    scale, with the start at 1, for parameters whose range is too wide. `first` (f,) is the start in
     these coordinates, and `best` the best configuration (d,) so far. `costs` lists the smallest sum
     of squares so far: infinity at first, and one entry per evaluation.
     """
@@ -181,8 +190,45 @@ class _Objective:
             self._root = np.ones(problem.residual_count)
             self._root[: weights.size] = np.sqrt(weights)
         self._logarithmic = np.array([p.scale == "log" for p in space.parameters])
-        self.first = np.clip(self._shares(self._start), 0.0, 1.0)
+        self._origin, self._unit = self._low, self._high - self._low
+        self._at_origin = np.zeros(self._low.size)
+        share = (space.encode(self._start) - self._low) / self._unit
+        self.first = np.clip(share[self._free], 0.0, 1.0)
         self.costs = [math.inf]
+
+    @property
+    def is_rescaled(self) -> bool:
+        """Whether the range of a parameter is too wide as a scale."""
+        return bool(self._at_origin.any())
+
+    def rescaled(self, slopes: Array, residuals: Array) -> Array:
+        """Scale parameters in too wide a range by their effect at the start.
+
+        Slopes (N, f) and residuals (N,) are those of the start; the result has slopes in the new
+        scale.
+        """
+        problem, free = self._problem, self._free
+        output = problem.dataset[problem.dataset.output]
+        output = output if problem.weights is None else output * problem.weights
+        size = max(np.linalg.norm(output), np.linalg.norm(residuals))
+        effect = np.linalg.norm(slopes, axis=0)
+        wide = effect > FINE * size
+        factor = np.where(wide, size / effect, 1.0)
+        self.first = np.where(wide, 1.0, self.first)
+        self._at_origin, self._unit = self._at_origin.copy(), self._unit.copy()
+        self._origin = np.array(self._low)
+        self._at_origin[free[wide]] = 1.0
+        self._origin[free[wide]] = problem.space.encode(self._start)[free[wide]]
+        self._unit[free] *= factor
+        return slopes * factor
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """The bounds (f,) of the free parameters in the coordinates of the solver."""
+        ends = (np.stack(self._problem.space.bounds) - self._origin) / self._unit
+        ends[np.abs(ends) > FINE / 10] *= math.inf  # so far that they would slow the solver down
+        low, high = (ends + self._at_origin)[:, self._free]
+        return low, high
 
     def is_first(self, part: Array) -> bool:
         """Whether `part` (f,) is the start."""
@@ -190,12 +236,15 @@ class _Objective:
 
     def move_to_bounds(self) -> None:
         """Move the best point to bounds that it is at, which the solver only approaches."""
-        shares = self._shares(self.best)
-        part = np.where(np.abs(shares - shares.round()) <= AT_BOUND, shares.round(), shares)
-        if not np.array_equal(part, shares):
-            r = self.residuals(part)
+        space = self._problem.space
+        shares = (space.encode(self.best) - self._low) / (self._high - self._low)
+        near = np.abs(shares - shares.round()) <= AT_BOUND
+        near[self._fixed] = False
+        theta = np.where(near, np.where(shares < 0.5, space.low, space.high), self.best)
+        if not np.array_equal(theta, self.best):
+            r = self._residuals_at(theta)
             if r @ r <= (1 + ROUNDING) * self.costs[-1]:
-                self.best = self._configuration(part)
+                self.best = theta
 
     def end(self, converged: bool) -> Refit:
         """The best point so far, moved along the limits of tied parameters."""
@@ -224,9 +273,11 @@ class _Objective:
 
     def residuals(self, part: Array) -> Array:
         """Weighted residuals (N,); NaN if the model fails, as it may on a part of the box."""
+        return self._residuals_at(self._configuration(part))
+
+    def _residuals_at(self, theta: Array) -> Array:
         if self._deadline is not None and self.costs[-1] < math.inf:
             self._deadline.check()
-        theta = self._configuration(part)
         try:
             values = self._problem.residuals(theta)
         except ValueError:
@@ -245,7 +296,7 @@ class _Objective:
     def jacobian(self, part: Array) -> Array:
         """Derivatives (N, f) of the residuals; raises _NoDerivatives or _Stationary."""
         theta = self._configuration(part)
-        stretch = (self._high - self._low) * np.where(self._logarithmic, theta, 1.0)
+        stretch = self._unit * np.where(self._logarithmic, theta, 1.0)
         whole = self._problem.jacobian(theta)
         if self._pin is not None:
             whole = np.vstack([whole, self._pin.slope(theta)])
@@ -256,18 +307,13 @@ class _Objective:
             raise _Stationary  # SciPy would divide by 0
         return np.asarray(derivatives if self._root is None else derivatives * self._root[:, None])
 
-    def _shares(self, theta: Array) -> Array:
-        """The free parameters (f,) of a configuration (d,)."""
-        shares = (self._problem.space.encode(theta) - self._low) / (self._high - self._low)
-        return np.asarray(shares[self._free])
-
     def _configuration(self, part: Array) -> Array:
         """The configuration (d,) with free parameters `part` (f,)."""
         if self.is_first(part):  # without rounding by the scale
             return self._start
         space, free = self._problem.space, self._free
         encoded = space.encode(self._start).copy()
-        encoded[free] = self._low[free] + (self._high - self._low)[free] * part
+        encoded[free] = self._origin[free] + self._unit[free] * (part - self._at_origin[free])
         theta = space.decode(encoded)
         theta[self._fixed] = self._start[self._fixed]
         return np.asarray(space.clip(theta))

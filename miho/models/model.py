@@ -256,7 +256,7 @@ def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array
     the other side only, with an error near 1e-5. A parameter near 0 gives no scale for its step;
     the step grows until the output changes by more than rounding errors.
     """
-    step = ROOT * np.maximum(np.abs(theta), SMALLEST)
+    step = ROOT * np.where(theta == 0, SMALLEST, np.abs(theta))
     derivatives = np.zeros((inputs[0].size, theta.size))
     todo = np.arange(theta.size)
     while todo.size:
