@@ -11,7 +11,7 @@ import numpy as np
 
 from miho.models.formula_text import written
 from miho.models.function_model import COLUMN, declared_unit, signature_of
-from miho.models.model import ROOT
+from miho.models.model import ROOT, VISIBLE
 from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, of_symbols, trace
 from miho.models.taped_equations import TapedEquations, taped_equations
 from miho.quantities import Array
@@ -168,9 +168,17 @@ class Equations:
         self, function: Callable[..., Sequence[Any]], t: float, u: Array, x: Array, p: Array
     ) -> tuple[Array, Array]:
         at = np.concatenate([x, p])
-        step = ROOT * np.maximum(np.abs(at), ROOT)
-        moved = np.hstack([at[:, None] + np.diag(step), at[:, None] - np.diag(step)])
-        high, low = np.hsplit(self._called(function, t, u, *np.split(moved, [x.size])), 2)
+        step = ROOT * np.where(at == 0, ROOT * (np.abs(x).max() or 1.0), np.abs(at))
+
+        def ends() -> list[Array]:
+            moved = np.hstack([at[:, None] + np.diag(step), at[:, None] - np.diag(step)])
+            return np.hsplit(self._called(function, t, u, *np.split(moved, [x.size])), 2)
+
+        high, low = ends()
+        lost = (np.abs(high - low) <= VISIBLE * np.abs(high)).all(axis=0) & (step < ROOT**2)
+        if lost.any():  # a number near 0 gives no scale for its step
+            step[lost] = ROOT**2
+            high, low = ends()
         slopes = (high - low) / (2 * step)
         return slopes[:, : x.size], slopes[:, x.size :]
 

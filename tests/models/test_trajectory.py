@@ -107,6 +107,24 @@ def untraced(model: Trajectory) -> Trajectory:
     return other
 
 
+def test_a_branching_right_hand_side_has_derivatives_at_any_scale() -> None:
+    """Concentrations in mol/l, of picomoles: (V, K) of an enzyme, and its product from 0."""
+
+    def traced(c: Any, p: Any, *, V: Any, K: Any) -> Any:
+        rate = V * c / (K + c + p)
+        return -rate, rate
+
+    def branching(c: Any, p: Any, *, V: Any, K: Any) -> Any:
+        return traced(c, p, V=V, K=K) if c < 1e300 else (0.0, 0.0)
+
+    theta, t = np.array([0.4e-12, 0.5e-12]), np.linspace(0.0, 4.0, 21)
+    start = {"c": 2e-12, "p": 0.0}
+    exact, by_differences = (
+        Trajectory(rhs, start, ["p"]).jacobian(theta, t) for rhs in (traced, branching)
+    )
+    np.testing.assert_allclose(by_differences, exact, rtol=1e-6, atol=1e-9 * np.abs(exact).max())
+
+
 @pytest.mark.slow
 def test_a_motor_that_is_driven_is_its_closed_form() -> None:
     """RK4 at a third of a millisecond."""
