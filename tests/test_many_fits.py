@@ -182,6 +182,20 @@ def test_what_the_data_do_not_determine_has_an_infinite_error(on_machine) -> Non
     assert np.isinf(tied["d_error"]).all()
 
 
+@pytest.mark.parametrize("model", [decay, opaque])
+def test_an_effect_whose_inverse_square_overflows_counts_as_none(model) -> None:
+    """A second peak far beyond the rows: its slopes are 1e-160."""
+
+    def peaks(t, a, b, d, m):
+        return model(t, a, b, 0) + d * np.exp(-((t - m) ** 2))
+
+    table = miho.fit_many(
+        peaks, t, y[:2], {"a": (0, 10), "b": (0.05, 20), "d": (0, 1), "m": (22, 22.4)}
+    )
+    assert np.isfinite(table[["a_error", "b_error"]]).all(axis=None)
+    assert not np.isfinite(table[["d_error", "m_error"]]).any(axis=None)
+
+
 @pytest.mark.slow
 def test_a_parameter_at_its_bound_has_no_error() -> None:
     table = miho.fit_many(decay, t, y[:2], {**BOX, "a": (0, 0.2)})

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.fitting.datasets import Datasets
-from miho.identification.inverse_root import INVOLVED, SINGULAR
+from miho.identification.inverse_root import INVOLVED, SINGULAR, SMALLEST
 from miho.models.expression import Expression
 from miho.models.model import ROOT, Model
 from miho.optim import Space
@@ -186,7 +186,7 @@ class Batch:
 def inverses(J: Array) -> tuple[Array, NDArray[np.bool_]]:
     """The pseudo-inverse (n, d, d) of J.T J, and which parameters (n, d) J does not determine."""
     scale = np.linalg.norm(J, axis=1)
-    scale[scale == 0] = 1.0
+    scale[scale < SMALLEST] = np.inf
     _, s, V = np.linalg.svd(J / scale[:, None, :], full_matrices=False)
     determined = s > SINGULAR * s[:, :1]
     V = np.where(determined[..., None], V, 0.0)
