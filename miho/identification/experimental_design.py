@@ -33,6 +33,10 @@ from miho.models.layout import PART
 from miho.quantities import Array
 from miho.validate import whole
 
+CERTAIN = 1e4
+"""A row that knows a direction so many times better than the present rows determines it; larger
+ratios would be lost in rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Design:
@@ -255,7 +259,8 @@ def optimal_design(
     quantities, gradients = _quantities(problem, at)
     names = list(quantities["quantity"])
     if goal is not None and goal not in names:
-        raise ValueError(f"goal is {goal!r}; choose from {'; '.join(names)}; or None for all")
+        held = ", which is at a bound" * (goal in problem.space.names)
+        raise ValueError(f"goal is {goal!r}{held}; choose from {'; '.join(names)}; or None for all")
     nothing = np.zeros(int(group.max()) + 1, dtype=np.intp)
     design = Design(report, frame, group, nothing, goal or "", groups, quantities, gradients)
     blocks, root = _whitened(report, *design._derivatives, group)
@@ -285,7 +290,8 @@ def _whitened(
     """Blocks (G, k, r) for `Information`, and the root (d, r) with parameters = root @ z.
 
     The present estimates of z are independent and have unit variance. The standard deviation along
-    a direction that the present rows do not determine is its length from bound to bound.
+    a direction that the present rows do not determine is its length from bound to bound. No
+    direction changes a candidate by more than CERTAIN standard deviations of its error.
     """
     at, space = report.at, report.problem.space
     half, _, null, moved = inverse_root(present, np.flatnonzero(~at.at_bound))
@@ -294,6 +300,9 @@ def _whitened(
     room = reach.min(axis=1)
     root = np.hstack([at.noise * half, (room[:, None] * null).T])
     rows = candidates @ root / at.noise
+    most = np.abs(rows).max(axis=0, initial=0.0)
+    shorter = np.minimum(1.0, CERTAIN / np.where(most > 0, most, 1.0))
+    rows, root = rows * shorter, root * shorter
     parts = np.split(rows[np.argsort(group, kind="stable")], np.cumsum(np.bincount(group))[:-1])
     most = max(len(part) for part in parts)
     if most == 1:

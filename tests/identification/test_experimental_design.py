@@ -231,6 +231,29 @@ def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:
         optimal_design(report, rows, 1)
 
 
+@pytest.mark.parametrize("goal", [None, "b", "c"])
+def test_a_wide_range_that_the_data_leave_open_is_not_lost_in_rounding(goal: str | None) -> None:
+    """All present rows are at x = 0. The best 4 of 9 further ones are those of all 126 choices."""
+    y = 1 + 1e-3 * np.random.default_rng(0).standard_normal(10)
+    wide = {"a": (-10, 10), "b": (-1e9, 1e9), "c": (-1e9, 1e9)}
+    fit = miho.fit(lambda x, a, b, c: a + b * x + c * x**2, np.zeros(10), y, wide)
+    x = np.linspace(-1, 1, 9)
+
+    def criterion(chosen: tuple[int, ...]) -> float:
+        information = np.vander(np.r_[np.zeros(10), x[list(chosen)]], 3, increasing=True)
+        information = information.T @ information
+        if np.linalg.matrix_rank(information) < 3:
+            return np.inf
+        covariance = np.linalg.inv(information)
+        return float(
+            np.linalg.det(covariance) if goal is None else np.diag(covariance)["abc".find(goal)]
+        )
+
+    best = min(itertools.combinations(range(9), 4), key=criterion)
+    chosen = tuple(optimal_design(fit, {"x": x}, 4, goal=goal).chosen.index)
+    assert criterion(chosen) == pytest.approx(criterion(best))
+
+
 @pytest.mark.parametrize(
     ("candidates", "settings", "message"),
     [
