@@ -784,6 +784,17 @@ def test_from_a_start_a_simulation_is_tried_out_near_it() -> None:
     assert 5 < max(seen) < 100
 
 
+def test_doses_of_several_decades_have_a_logarithmic_axis() -> None:
+    """On a linear axis half of the rows would be within 1 % of its length."""
+    dose = np.geomspace(1e-9, 1e-4, 21)
+    fit = miho.fit(lambda c, k: c / (c + k), dose, dose / (dose + 3e-7), {"k": (1e-9, 1e-4)})
+    axes = fit.plot().axes[0]
+    assert axes.get_xscale() == "log"
+    curve = axes.lines[0].get_ydata()
+    assert np.abs(np.diff(curve)).max() < 0.02  # the rise is drawn
+    assert miho.fit(decay, t, y, BOX).plot().axes[0].get_xscale() == "linear"
+
+
 def test_the_curve_of_a_simulation_is_drawn_at_the_rows_of_data() -> None:
     values = _cumulative(t, 2.0, 1.5) + 0.02 * noise
     fit = miho.fit(_cumulative, t, values, {"a": (0.1, 5), "b": (0.01, 10)})

@@ -22,6 +22,8 @@ POINTS = (BLUE, RED, GREEN, ORANGE, *COLORS[4:6])
 BINS = 10
 PANELS = 3
 LOGARITHMIC = 5.0
+CROWDED = 50.0
+"""Rows are crowded on a linear axis if the largest value is this multiple of their median."""
 LEAST_RANGE = 0.1
 GRID = 400
 """Number of points of a drawn curve."""
@@ -50,6 +52,12 @@ class Column:
         """Name and unit for an axis."""
         return in_unit(self.name, self.unit)
 
+    @property
+    def scale(self) -> str:
+        """The scale of an axis: "log" if half of positive values are far below the largest."""
+        low, middle, high = np.quantile(self.values, [0, 0.5, 1])
+        return "log" if low > 0 and CROWDED * middle < high else "linear"
+
 
 def in_unit(name: str, unit: str) -> str:
     """A name with its unit in brackets, if the unit is known."""
@@ -67,7 +75,8 @@ def curve_of(
     """
     x, *others = inputs
     if not ordered and not others:
-        grid = np.linspace(x.values.min(), x.values.max(), GRID)
+        grid_of = np.geomspace if x.scale == "log" else np.linspace
+        grid = grid_of(x.values.min(), x.values.max(), GRID)
         return x, (grid, *band(grid))
     if not ordered or (others and (np.diff(x.values) <= 0).any()):
         return None, None
@@ -110,7 +119,7 @@ def plot_fit(
         at, curve, half = band
         ax.fill_between(at, curve - half, curve + half, color=RED, alpha=0.3, linewidth=0)
         ax.plot(at, curve, color=RED, linewidth=1.5, label="fit, with the curve's interval")
-        ax.set(xlabel=x.label, ylabel=measured.label)
+        ax.set(xlabel=x.label, ylabel=measured.label, xscale=x.scale)
     else:
         shown = parts or {"rows of data": np.ones(len(predicted), dtype=bool)}
         for (label, part), color in zip(shown.items(), cycle(POINTS), strict=False):
@@ -248,7 +257,7 @@ def plot_errors_over(
             linewidths=0, rasterized=True,
         )  # fmt: skip
     ax.axhline(0, color="#444444", linewidth=0.6)
-    ax.set(xlabel=column.label, ylabel=errors.label)
+    ax.set(xlabel=column.label, ylabel=errors.label, xscale=column.scale)
     return ax
 
 
