@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 RESOLVED = 0.5
 """An estimate is useless if its interval extends below this fraction of it."""
 
+TIED = 1e-9
+"""Random offsets that decide between equally near points, as a fraction of the spread of an
+input."""
 FEWEST = 3
 """Smallest number of rows for an estimate."""
 SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
 """Largest numbers of rows that `irreducible_square` uses: for one input, which is sorted, and for
 several, because the search for nearest neighbours takes longer."""
-TIED = 1e-9
-"""Random offsets that decide between equally near points, as a fraction of the spread of an
-input."""
 
 
 class Irreducible(NamedTuple):
@@ -51,9 +51,7 @@ def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
         return math.inf
     sample = slice(None, None, -(-y.size // (SORTED_ROWS if len(inputs) == 1 else NEIGHBOUR_ROWS)))
     X, y = np.array(inputs)[:, sample], y[sample]
-    if len(X) == 1:
-        return _high(_scatter(X[0], y)) ** 2
-    return irreducible_limit(X, y) ** 2
+    return (_high(_scatter(X[0], y)) if len(X) == 1 else irreducible_limit(X, y)) ** 2
 
 
 def irreducible_error(x: Array, y: Array) -> float:
@@ -138,7 +136,8 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
     if not squares.any():
         return 0.0
     # For normal errors e, e^4 / 3 estimates the square of the variance, as in `_variance`.
-    freedom = 3 * float(squares.sum()) ** 2 / float((squares**2).sum())
+    parts = squares / math.ldexp(1.0, math.frexp(squares.max())[1])  # whose squares are numbers
+    freedom = 3 * float(parts.sum()) ** 2 / float((parts**2).sum())
     return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, (1 + level) / 2))
 
 
@@ -172,7 +171,9 @@ def _scatter(x: Array, y: Array) -> _Scatter:
     square = float(np.mean(errors**2))
     if x.size < 5 or square == 0:
         return _Scatter(x, y, square, math.nan)
-    return _Scatter(x, y, square, 2 * square**2 / _variance(errors, weights))
+    unit = math.ldexp(1.0, math.frexp(math.sqrt(square))[1])  # fourth powers overflow from 1e77 on
+    freedom = 2 * (square / unit**2) ** 2 / _variance(errors / unit, weights)
+    return _Scatter(x, y, square, freedom)
 
 
 def _high(scatter: _Scatter, level: float = 0.95) -> float:

@@ -21,6 +21,16 @@ def test_a_straight_line_has_none() -> None:
     assert irreducible_error(x, 3 * x - 1) < 1e-12
 
 
+@pytest.mark.parametrize("unit", [2.0**-330, 2.0**330])
+def test_the_unit_of_the_output_does_not_matter(unit: float) -> None:
+    """Fourth powers of 1e-99 and 1e99 are beyond double precision; powers of 2 keep all digits."""
+    x = np.sort(np.random.default_rng(1).uniform(0, 5, (2, 100)))
+    y = np.random.default_rng(2).normal(0, 2.0, 100)
+    usual, scaled = (irreducible_interval(x[0], y * u) for u in (1.0, unit))
+    assert scaled == tuple(unit * value for value in usual)
+    assert irreducible_limit(x, y * unit) == unit * irreducible_limit(x, y)
+
+
 def test_repeated_inputs() -> None:
     x = np.repeat(np.arange(500.0), 8)
     y = np.random.default_rng(2).normal(0, 2.0, x.size)
