@@ -9,6 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.identification.curve_fit_checks import LARGEST
 from miho.models.model import Model
 from miho.quantities import Array
 
@@ -77,8 +78,9 @@ def derivatives(model: Model, theta: Array, rows: pd.DataFrame, group: NDArray[n
             J[part] = model.jacobian(theta, *(column[part] for column in columns))
     else:
         J = model.jacobian(theta, *columns)
-    if not np.isfinite(J).all():
-        row = int(np.flatnonzero(~np.isfinite(J).all(axis=1))[0])
+    usable = (np.abs(J) < LARGEST).all(axis=1)  # squares of larger ones overflow
+    if not usable.all():
+        row = int(np.flatnonzero(~usable)[0])
         raise ValueError(
             f"candidates: the derivatives of the model are not finite in row {row} (from 0); "
             "remove the row"

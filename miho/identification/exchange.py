@@ -19,6 +19,8 @@ PASSES = 20
 """Largest number of passes through the selection, which is usually stable after two or three."""
 BETTER = 1e-9
 """An exchange that gains less than this fraction of the gain of a row is rounding."""
+ALONE = 0.999
+"""A block with this leverage determines a direction alone."""
 ENOUGH = 1e-4
 """A pass is the last one if it lowers the criterion, a logarithm, by less: on a fine grid, rows
 would continue to move to neighbours for long."""
@@ -42,7 +44,8 @@ class Information:
         """Restart with each block added `counts` (G,) times, which removes accumulated rounding."""
         used = np.flatnonzero(counts)
         rows = np.sqrt(counts[used])[:, None, None] * self._blocks[used]
-        _, s, Vt = np.linalg.svd(rows.reshape(-1, self._blocks.shape[2]))
+        rows = rows.reshape(-1, self._blocks.shape[2])
+        _, s, Vt = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
         variances = np.ones(len(Vt))
         variances[: s.size] = 1 / (1 + s**2)
         self._covariance = (Vt.T * variances) @ Vt
@@ -69,6 +72,10 @@ class Information:
             return np.asarray(self._by_target[:, 0] ** 2 / measured[:, 0, 0])
         solved = np.linalg.solve(measured, self._by_target[:, :, None])[:, :, 0]
         return np.asarray((self._by_target * solved).sum(axis=1))
+
+    def needs(self, group: int) -> bool:
+        """Whether a block alone determines a direction, so `add` would not remove it exactly."""
+        return bool(np.linalg.norm(self._predicted[group], 2) > ALONE)
 
     def add(self, group: int, sign: int = 1) -> None:
         """Add a block, or remove it with sign -1 (Sherman, Morrison and Woodbury)."""
@@ -127,8 +134,11 @@ def _exchanged(
     for _ in range(PASSES):
         before = information.criterion
         for group in np.repeat(np.arange(len(counts)), counts).tolist():
-            information.add(group, -1)
             counts[group] -= 1
+            if information.needs(group):
+                information.renew(counts)
+            else:
+                information.add(group, -1)
             gains = np.where(counts < repeats, information.gains(), -np.inf)
             best = int(np.argmax(gains))
             best = best if gains[best] > (1 + BETTER) * gains[group] else group

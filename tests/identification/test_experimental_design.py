@@ -254,6 +254,12 @@ def test_a_wide_range_that_the_data_leave_open_is_not_lost_in_rounding(goal: str
     assert criterion(chosen) == pytest.approx(criterion(best))
 
 
+def test_a_row_that_alone_determines_a_direction_can_be_exchanged() -> None:
+    """Its leverage is 1 to 3e-9, so taking it away again would lose all digits."""
+    rows = np.vstack([1e4 * np.array([1.0, 1.0, -1.0]), 1e-12 * np.eye(3), np.zeros((3, 3))])
+    assert best_groups(rows[:, None, :], 4)[0] == 1
+
+
 @pytest.mark.parametrize(
     ("candidates", "settings", "message"),
     [
