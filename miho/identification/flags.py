@@ -250,11 +250,13 @@ def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
     errors = problem.errors(at.theta)
     if at.dependence is not None:
         errors = at.dependence.model.innovations(errors)
-    squares = errors**2
+    squares = (errors / (np.abs(errors).max() or 1.0)) ** 2
+    if not np.var(squares):
+        return 1.0
     J = problem.model.jacobian(at.theta, *problem.inputs)[-errors.size :, at.standard_errors > 0]
-    J = J**2
-    size = J.max(axis=0)
-    columns = np.column_stack([np.ones(squares.size), J / np.where(size > 0, size, 1.0)])
+    size = np.abs(J).max(axis=0)
+    J = (J / np.where(size > 0, size, 1.0)) ** 2
+    columns = np.column_stack([np.ones(squares.size), J])
     fitted = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
     explained = np.var(fitted) / np.var(squares)
     rank = int(np.linalg.matrix_rank(columns)) - 1

@@ -149,12 +149,13 @@ def at_optimum(J: Array, r: Array, part: Array) -> bool:
 
     `part` (f,) is 0 or 1 at a bound. A parameter stays there if a descent would leave the box.
     """
-    slope = J.T @ r
-    fixed = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
-    columns = np.column_stack([J[:, ~fixed], r])
     with np.errstate(all="ignore"):
-        columns /= np.sqrt((columns**2).sum(axis=0))
-        if columns.shape[1] > r.size or not np.isfinite(columns).all():
+        slope = J.T @ r
+        fixed = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
+        columns = np.column_stack([J[:, ~fixed], r])
+        size = np.sqrt((columns**2).sum(axis=0))
+        columns /= size
+        if columns.shape[1] > r.size or not (np.isfinite(columns) & np.isfinite(size)).all():
             return False
     R = np.asarray(np.linalg.qr(columns, mode="r"))
     return bool(np.sum(R[:-1, -1] ** 2) <= AT_OPTIMUM)  # of which the last column has norm 1

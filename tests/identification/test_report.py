@@ -13,7 +13,7 @@ from miho.analysis.pages.run_tables import derived_table, report_text
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber, Report, make_report
 from miho.identification.bootstrap import bootstrap
-from miho.identification.refit import refit
+from miho.identification.refit import at_optimum, refit
 from miho.identification.validation import (
     groups,
     leave_one_out,
@@ -249,6 +249,19 @@ def test_an_uneven_spread_is_said_with_intervals_that_allow_for_it() -> None:
             assert ("sandwich" in text) == bool(off)
         ratio = f"{table['sandwich'] / table['standard error']:.2f}"
         assert all(f"too {off} for b (times {ratio})" in note for note in notes)
+
+
+def test_errors_of_one_size_have_an_even_spread() -> None:
+    """Their squares are equal, so no column explains a part of the variance of the squares."""
+    x = np.arange(4.0)
+    fit = miho.fit(lambda x, a: a + 0 * x, x, np.array([1.0, 2.0, 1.0, 2.0]), {"a": (0, 5)})
+    assert not fit.report().uneven
+
+
+def test_a_slope_whose_square_overflows_is_not_that_of_an_optimum() -> None:
+    assert not at_optimum(np.full((3, 1), 1e200), np.ones(3), np.array([0.5]))
+    assert not at_optimum(np.full((3, 1), 1e-200), np.ones(3), np.array([0.5]))
+    assert at_optimum(np.ones((2, 1)), np.array([1.0, -1.0]), np.array([0.5]))
 
 
 def test_derived_quantities_have_sandwich_intervals_too() -> None:
