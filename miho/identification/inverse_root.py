@@ -15,6 +15,8 @@ largest."""
 SMALLEST = 1e-140
 """A column of derivatives counts as zero if its norm is smaller. A variance is the inverse square
 of the norm and overflows below 1e-154; the singular values divide it by up to 1e-10 more."""
+ROUNDING = 1e-12
+"""A smaller component of a unit vector is rounding: the direction does not move the parameter."""
 INVOLVED = 1e-6
 """A parameter is unidentifiable if its component of a null direction exceeds this fraction."""
 
@@ -48,6 +50,7 @@ def inverse_root(J: Array, free: NDArray[np.intp]) -> InverseRoot:
     half = np.zeros((J.shape[1], int(determined.sum())))
     half[free] = Vt[determined].T / s[determined] / scale[:, None]
     null = np.zeros((int((~determined).sum()), J.shape[1]))
+    Vt[np.abs(Vt) < ROUNDING] = 0.0
     null[:, free] = Vt[~determined] / scale
     moved = np.zeros(null.shape, dtype=bool)
     moved[:, free] = np.abs(Vt[~determined]) > INVOLVED

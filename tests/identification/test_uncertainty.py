@@ -7,6 +7,7 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
+import miho
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber, linearised
 from miho.identification.bootstrap import bootstrap, percentile_intervals
@@ -102,6 +103,16 @@ def test_what_the_data_do_not_see_has_no_finite_error() -> None:
     assert np.isinf(at.standard_errors).all()
     assert at.null_directions.shape == (1, 2)
     assert np.isnan(at.correlation).all()
+
+
+def test_rounding_of_a_null_direction_moves_no_other_parameter() -> None:
+    """The data know c + 1e-20 d only, and a and b alone."""
+    x = np.linspace(-1, 1, 30)
+    y = 1 + x + x**2 + 0.1 * np.random.default_rng(0).standard_normal(30)
+    box = dict.fromkeys("abcd", (-9, 9))
+    at = miho.fit(lambda x, a, b, c, d: a + b * x + (c + 1e-20 * d) * x**2, x, y, box).uncertainty
+    np.testing.assert_array_equal(at.unidentifiable, [False, False, True, True])
+    np.testing.assert_allclose(at.spread(np.eye(4)), at.standard_errors)
 
 
 def test_an_effect_whose_inverse_square_overflows_counts_as_none() -> None:
