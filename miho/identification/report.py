@@ -373,7 +373,8 @@ class Report:
 
 def rounding_of(problem: CurveFit) -> float:
     """The largest error, in the unit of the output, that counts as rounding."""
-    return ROUNDING * root_mean_square(problem.dataset[problem.dataset.output])
+    spread = float(np.std(problem.dataset[problem.dataset.output]))
+    return max(ROUNDING * spread, math.sqrt(problem.rounding))  # an offset may be far larger
 
 
 @runtime_checkable
