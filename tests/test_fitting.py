@@ -784,6 +784,21 @@ def test_from_a_start_a_simulation_is_tried_out_near_it() -> None:
     assert 5 < max(seen) < 100
 
 
+def test_an_error_far_below_the_offset_is_shown_and_is_not_rounding() -> None:
+    """Milliseconds of a clock in seconds: an error of 1e-12 of the output, or 8000 roundings."""
+    fit = miho.fit(
+        lambda t, a, b: a + b * t, t, 1e9 + t + 1e-3 * noise, {"a": (0, 2e9), "b": (-5, 5)}
+    )
+    value, error, low, high = fit.parameters.loc["a", ["value", "standard_error", "low", "high"]]
+    report = fit.report()
+    assert not any("no error" in note for note in report.notes)
+    assert report.profiles[0] is not None
+    for text in (str(fit), str(report)):
+        (row,) = (line.split() for line in text.splitlines() if line.split()[:1] == ["a"])
+        shown = [float(word) for word in row[1:5]]
+        assert shown == pytest.approx([value, error, low, high], rel=1e-15, abs=error / 20)
+
+
 def test_doses_of_several_decades_have_a_logarithmic_axis() -> None:
     """On a linear axis half of the rows would be within 1 % of its length."""
     dose = np.geomspace(1e-9, 1e-4, 21)

@@ -392,6 +392,7 @@ class Fit(Remade):
     def _repr_html_(self) -> str:
         """The form shown in a notebook."""
         from miho.fitting.printed_fit import printed
+        from miho.identification.line_wrapping import with_digits
 
-        table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
+        table = with_digits(self.parameters, "standard_error").to_html(float_format="{:.5g}".format)
         return table + "".join(f"<p>{escape(line)}</p>" for line in printed(self)[1])

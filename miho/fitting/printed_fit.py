@@ -10,7 +10,7 @@ import numpy as np
 from miho.identification.alternatives import several_values
 from miho.identification.dependence import alike_beside_priors, widening
 from miho.identification.flags import REMEDY, doubtful, ended_at_bounds, held_at_bounds, unseen
-from miho.identification.line_wrapping import with_unit
+from miho.identification.line_wrapping import with_digits, with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ WIDE = 10.0
 
 def printed(fit: Fit) -> tuple[str, list[str]]:
     """The table of parameters as text, and the lines below it, of any length."""
-    table = fit.parameters.to_string(float_format=lambda number: f"{number:.5g}")
+    table = with_digits(fit.parameters, "standard_error").to_string(float_format="{:.5g}".format)
     rows = len(fit.problem.dataset)
     error = with_unit(f"error {fit.error:.5g}", fit.problem.unit)
     weights = "" if fit.problem.weights is None else ", weighted by sigma"

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import sys
 import textwrap
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WIDTH = 100
 """Columns of a printed line."""
+LOST = 1e5
+"""A value that is this multiple of its standard error needs more than five digits."""
 TIED = "\N{NO-BREAK SPACE}"
 """A space at which no line is broken."""
 LABEL = 13
@@ -35,6 +42,21 @@ def wrapped(line: str, width: int = WIDTH, indent: int | None = None) -> str:
 def with_unit(number: str, unit: str) -> str:
     """A number as text with its unit, which a dimensionless one, "-", does not have."""
     return f"{number} {unit}" if unit.strip("-") else number
+
+
+def with_digits(table: pd.DataFrame, error: str) -> pd.DataFrame:
+    """A table with texts for values and ends of which five digits would not show the `error`."""
+    lost = (table["value"].abs() > LOST * table[error]) & (table[error] > 0)
+    if lost.any():
+        table = table.astype(object)
+    for row in table.index[lost]:
+        value: Any = table.at[row, "value"]
+        digits = 3 + int(math.log10(abs(value) / table.at[row, error]))
+        for column in table.columns[table.columns.str.contains("value|low|high")]:
+            number: Any = table.at[row, column]
+            if math.isfinite(number):
+                table.at[row, column] = f"{number:.{digits}g}"
+    return table
 
 
 def for_terminal(text: str) -> str:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from miho.identification import flags
 from miho.identification.alternatives import several_values
 from miho.identification.derived import is_held
-from miho.identification.line_wrapping import with_unit, wrapped
+from miho.identification.line_wrapping import with_digits, with_unit, wrapped
 from miho.identification.outliers import outliers, too_small_scale
 from miho.identification.parameters_file import KINDS, interval_kind
 from miho.identification.prior import prior_notes
@@ -77,13 +77,16 @@ def _with_best_intervals(derived: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _printed(table: pd.DataFrame, formatters: Mapping[str, Callable[[float], str]]) -> str:
+def _printed(table: pd.DataFrame, formatters: Mapping[str, Callable[[Any], str]]) -> str:
     """The text of a table with five digits."""
-    return table.to_string(index=False, float_format="%.5g", formatters=dict(formatters))
+    table = with_digits(table, "standard error")
+    return table.to_string(index=False, float_format="{:.5g}".format, formatters=dict(formatters))
 
 
-def _end(value: float) -> str:
+def _end(value: float | str) -> str:
     """The text of a profile end; "open" if the profile reached the bound without an end."""
+    if isinstance(value, str):
+        return value
     return "open" if math.isinf(value) else f"{value:.5g}"
 
 
