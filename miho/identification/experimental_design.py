@@ -258,6 +258,8 @@ def optimal_design(
     _check(problem, at, int(group.max()) + 1, size, repeats)
     quantities, gradients = _quantities(problem, at)
     names = list(quantities["quantity"])
+    if not names:
+        raise ValueError(f"{problem.name}: every parameter is at a bound; widen the bounds")
     if goal is not None and goal not in names:
         held = ", which is at a bound" * (goal in problem.space.names)
         raise ValueError(f"goal is {goal!r}{held}; choose from {'; '.join(names)}; or None for all")

@@ -295,6 +295,17 @@ def test_candidates_in_other_units_and_data_without_noise() -> None:
         optimal_design(exact, {"x": [2.0]}, 1)
 
 
+def test_a_goal_at_a_bound_and_a_fit_at_its_bounds() -> None:
+    x = np.linspace(0, 1, 9)
+    y = 2 + 3 * x + 0.1 * np.sin(9 * x)
+    fit = miho.fit(lambda x, a, b: a + b * x, x, y, {"a": (0, 9), "b": (0, 1)})
+    with pytest.raises(ValueError, match="goal is 'b', which is at a bound; choose from a; or"):
+        optimal_design(fit, {"x": x}, 1, goal="b")
+    fit = miho.fit(lambda x, a, b: a + b * x, x, y, {"a": (0, 1), "b": (0, 1)})
+    with pytest.raises(ValueError, match="every parameter is at a bound; widen the bounds"):
+        optimal_design(fit, {"x": x}, 1)
+
+
 def test_a_fit_is_designed_for_as_its_report_is() -> None:
     x = np.linspace(-1, 1, 30)
     y = 2 * x + 0.05 * np.random.default_rng(0).standard_normal(30)
