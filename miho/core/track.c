@@ -16,7 +16,7 @@
 #define OVER 0.01              /* share of a burst, or of an inlier, that no longer counts */
 
 enum { ROW, CLOCK, LAST_TIME, SINCE, QUIET_UNTIL, TURN, ODDS, ALARM, GAIN, NUMBERS };
-enum { HAZARD, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
+enum { HAZARD, ONSET, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
        GAP, EVERY, CAP, STEP_ERROR, BURST, SETTLE, WRONG, RULES };
 
 typedef struct {
@@ -506,9 +506,10 @@ static int64_t judge(const track_sizes *of, population *at, const rules_of *rule
     return best;
 }
 
-/* Put a fresh hypothesis of a jump in the place of the least likely one. */
+/* Put a fresh hypothesis in the place of the least likely one: a copy of the best one with another
+   memory, whose watched parameters jump or not. */
 static void bear(const track_sizes *of, population *at, const rules_of *rules, int64_t best,
-                 int64_t first) {
+                 int64_t first, int jumps, double memory) {
     int64_t d = of->d, D = d + of->n, slot = -1;
     for (int64_t s = 0; s < of->K; s++) {
         int able = s != best && s != first;
@@ -522,14 +523,29 @@ static void bear(const track_sizes *of, population *at, const rules_of *rules, i
     memcpy(at->theta + slot * D, at->theta + best * D, all);
     memcpy(at->P + slot * D * D, at->P + best * D * D, (size_t)D * all);
     for (int64_t i = 0; i < d; i++) {
-        at->P[(slot * D + i) * D + i] += rules->watched[i] > 0.0 ? 1.0 : 0.0;
+        at->P[(slot * D + i) * D + i] += jumps && rules->watched[i] > 0.0 ? 1.0 : 0.0;
         at->share[slot * d + i] = 1.0;
     }
-    for (int64_t c = 0; c < of->n; c++) set_state(of, at, slot, c, at->measured[c], 1.0);
-    at->calm[slot] = rules->number[fmod(at->number[TURN], 2.0) == 1.0 ? MIDDLE : LONG];
-    at->drift[slot] = at->calm[slot] + rules->number[BURST];
+    if (jumps)
+        for (int64_t c = 0; c < of->n; c++) set_state(of, at, slot, c, at->measured[c], 1.0);
+    at->calm[slot] = memory;
+    at->drift[slot] = memory + (jumps ? rules->number[BURST] : 0.0);
     at->born[slot] = at->number[ROW];
-    at->weight[slot] = log_one(rules->number[HAZARD]);
+    at->weight[slot] = log_one(rules->number[jumps ? HAZARD : ONSET]);
+}
+
+/* A fresh hypothesis of a jump, and one of a drift that begins unless one as likely lives. Long and
+   middle memory alternate after jumps. */
+static void bear_both(const track_sizes *of, population *at, const rules_of *rules, int64_t best,
+                      int64_t first) {
+    const double *number = rules->number;
+    double fresh = log_one(number[ONSET]);
+    int due = at->calm[best] == number[LONG];
+    for (int64_t s = 0; s < of->K; s++)
+        due = due && !(at->drift[s] == number[MIDDLE] && at->weight[s] >= fresh);
+    int odd = fmod(at->number[TURN], 2.0) == 1.0;
+    bear(of, at, rules, best, first, 1, number[odd ? MIDDLE : LONG]);
+    if (due) bear(of, at, rules, best, first, 0, number[MIDDLE]);
     at->number[TURN] += 1.0;
 }
 
@@ -600,7 +616,7 @@ int track_update(const track_sizes *of, const double *numbers, const double *row
     }
     int64_t first, best = judge(of, &at, &rules, &first);
     int due = fmod(at.number[ROW], rules.number[EVERY]) == 0.0;
-    if (to.any && due && to.teaches[best]) bear(of, &at, &rules, best, first);
+    if (to.any && due && to.teaches[best]) bear_both(of, &at, &rules, best, first);
     for (int64_t c = 0; c < of->n; c++)
         if (to.again >> c & 1) at.measured[c] = NOT_A_NUMBER;
     at.number[ROW] += 1.0;

@@ -134,7 +134,7 @@ class Population:
                 teaches, outliers = self._learn(living, grown, row, noise, y)
         best, first = self._judge(living)
         if usable.any() and self["row"] % self.rules.every == 0 and teaches[best]:
-            self._bear(best, first)
+            self._bear_both(best, first)
         if usable.any():  # a state that an outlier began, at either end of the row, begins again
             self.measured[began & outliers] = math.nan
         self["row"] += 1
@@ -270,10 +270,23 @@ class Population:
         early = np.flatnonzero(~late & (weight > EMPTY))
         return best, int(early[np.argmax(weight[early])]) if early.size else best
 
-    def _bear(self, best: int, first: int) -> None:
-        """Put a fresh hypothesis of a jump in the place of the least likely one.
+    def _bear_both(self, best: int, first: int) -> None:
+        """Put a fresh hypothesis of a jump, and one of a drift unless one as likely lives.
 
-        Only watched parameters jump. Long and middle memory alternate.
+        Long and middle memory alternate after jumps. A drift begins where the best one stands.
+        """
+        rules = self.rules
+        drifting = (self.drift == rules.middle) & (self.weight >= math.log(rules.onset))
+        due = self.calm[best] == rules.long and not drifting.any()
+        self._bear(best, first, True, rules.middle if self["turn"] % 2 else rules.long)
+        if due:
+            self._bear(best, first, False, rules.middle)
+        self["turn"] += 1
+
+    def _bear(self, best: int, first: int, jumps: bool, memory: float) -> None:
+        """Put a fresh hypothesis in the place of the least likely one.
+
+        It is a copy of the best one with another memory, whose watched parameters jump or not.
         """
         rules = self.rules
         able = self["row"] - self.born > rules.every
@@ -284,13 +297,14 @@ class Population:
         own = self.born[best] <= self["since"]
         self.was[slot] = self.parameters[best] if own else self.was[best]
         self.theta[slot], self.P[slot], self.share[slot] = self.theta[best], self.P[best], 1.0
-        self.variances[slot].flat[:: self.layout.d + 1] += rules.watched
-        for c in range(self.layout.n):
-            self.hypotheses[slot].set_state(c, self.measured[c], 1.0)
-        self.calm[slot] = rules.middle if self["turn"] % 2 else rules.long
-        self.drift[slot] = self.calm[slot] + rules.burst
-        self.born[slot], self.weight[slot] = self["row"], math.log(rules.hazard)
-        self["turn"] += 1
+        if jumps:
+            self.variances[slot].flat[:: self.layout.d + 1] += rules.watched
+            for c in range(self.layout.n):
+                self.hypotheses[slot].set_state(c, self.measured[c], 1.0)
+        self.calm[slot] = memory
+        self.drift[slot] = memory + (rules.burst if jumps else 0.0)
+        self.born[slot] = self["row"]
+        self.weight[slot] = math.log(rules.hazard if jumps else rules.onset)
 
     def changed(self) -> Change:
         """The change that the hypotheses born since the last alarm describe."""

@@ -96,7 +96,7 @@ class Rules:
 
     Parameters
     ----------
-    hazard, outliers, width, threshold, near : float
+    hazard, onset, outliers, width, threshold, near : float
         As for `TrackerSettings`.
     long, middle, short : float
         Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
@@ -116,6 +116,7 @@ class Rules:
     """
 
     hazard: float
+    onset: float
     outliers: float
     width: float
     threshold: float
@@ -165,8 +166,9 @@ def rules_of(
         k = place_of("changes", name, system.names)
         positive(f"changes.{name}", share)
         watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
-    names = ("hazard", "outliers", "width", "threshold", "near", "use", "smooth", "hold", "gap",
-             "every", "repeats", "cap", "step_error", "burst", "settle", "wrong")  # fmt: skip
+    names = ("hazard", "onset", "outliers", "width", "threshold", "near", "use", "smooth", "hold",
+             "gap", "every", "repeats", "cap", "step_error", "burst", "settle",
+             "wrong")  # fmt: skip
     return Rules(
         **{name: float(getattr(settings, name)) for name in names},
         **dict(zip(("long", "middle", "short"), settings.drifts, strict=True)),

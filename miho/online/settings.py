@@ -27,6 +27,9 @@ class TrackerSettings(OnlineMethod):
     ----------
     hazard : float, optional
         Probability of a fresh hypothesis of a jump.
+    onset : float, optional
+        Probability of a fresh hypothesis of a drift that begins without a jump. A larger value
+        finds slow changes earlier, and settles later after jumps on which rows say little.
     outliers : float, optional
         Share of rows that are outliers.
     width : float, optional
@@ -74,6 +77,7 @@ class TrackerSettings(OnlineMethod):
     """
 
     hazard: float = 8e-4
+    onset: float = 5e-5
     outliers: float = 0.02
     width: float = 400.0
     threshold: float = 3.0
@@ -94,7 +98,7 @@ class TrackerSettings(OnlineMethod):
     wrong: float = 0.04
 
     def __post_init__(self) -> None:
-        for name in ("hazard", "outliers", "wrong"):
+        for name in ("hazard", "onset", "outliers", "wrong"):
             between_0_and_1(name, getattr(self, name))
         for name in ("width", "near", "use", "smooth", "gap", "cap", "settle"):
             positive(name, getattr(self, name))

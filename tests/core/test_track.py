@@ -72,7 +72,7 @@ def stream(seed: int = 0) -> list[dict[str, float]]:
 
 
 def test_the_machine_decides_as_numpy() -> None:
-    machine_run, reference = tracker(), by_numpy()
+    machine_run, reference, onsets = tracker(), by_numpy(), 0
     for k, row in enumerate(stream()):
         state, expected = machine_run.update(row), reference.update(row)
         # The functions of the machine and of NumPy differ by some units in the last place, and sums
@@ -84,7 +84,9 @@ def test_the_machine_decides_as_numpy() -> None:
         np.testing.assert_array_equal(one.born, same.born)
         np.testing.assert_array_equal(one.drift, same.drift)
         np.testing.assert_array_equal(one.informed, same.informed)
-    assert machine_run._population["turn"] > 20
+        onsets += ((one.drift == one.rules.middle) & (one.born == k)).sum()
+    assert one["turn"] > 20
+    assert onsets > 3
 
 
 def test_states_of_the_machine_are_those_of_numpy() -> None:

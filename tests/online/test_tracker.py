@@ -145,6 +145,24 @@ def test_a_fall_raises_one_alarm(seed: int) -> None:
     assert states[-1].identifiable.all()
 
 
+def test_a_drift_that_begins_widens_the_interval_early() -> None:
+    """Rows of slow falls whose value is outside, 124 of 1,500; 180 if only jumps are expected."""
+    outside = {}
+    for onset in (TrackerSettings.onset, 1e-12):
+        outside[onset] = 0
+        for seed in range(2):
+            rng = np.random.default_rng(seed)
+            time = 0.02 * np.arange(1500)
+            a = 1 - 0.035 * np.clip(time - 20, 0, None)
+            x = rng.uniform(0.5, 1.5, time.size)
+            columns = {"time": time, "x": x, "y": a * x + SIGMA * rng.standard_normal(x.size)}
+            problem = problem_of(lambda x, *, a: a * x, x=x, y=columns["y"])
+            states = followed(Tracker(problem, {"a": (1, 0.05)}, onset=onset), columns)
+            low, high = np.array([state.intervals()[0] for state in states[1000:]]).T
+            outside[onset] += np.count_nonzero((low > a[1000:]) | (high < a[1000:]))
+    assert outside[TrackerSettings.onset] < 0.8 * outside[1e-12]
+
+
 def test_nothing_changes_without_a_change() -> None:
     states = followed(tracker(), tire(3, fall=0.0))
     assert not any(state.alarm for state in states)
