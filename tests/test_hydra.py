@@ -267,6 +267,22 @@ def test_callbacks_are_called(
     assert (tmp_path / "record").read_text() == "0 3 True\n1 4 True\nend\n"
 
 
+def test_settings_that_follow_the_seed_differ_in_a_sweep(typed: Typed) -> None:
+    ended = typed("-m", "seed=3,21", "dataset.seed=${seed}", "method=m${seed}")
+    assert ended.code == 0, ended.err
+    runs = load_runs(ended.root).runs
+    stored = [read_run(Path(folder)) for folder in runs["folder"]]
+    assert [run.config["dataset"]["seed"] for run in stored] == list(runs["seed"])
+    assert list(runs["optimizer"]) == [f"m{seed}" for seed in runs["seed"]]
+
+
+def test_the_pool_sets_variables_of_the_environment(typed: Typed) -> None:
+    sweep = ["-m", "+hydra.job.env_set.A_TIRE=rr", "dataset.tire=${oc.env:A_TIRE}"]
+    assert "pacejka-tire_rr" in typed(*sweep).out
+    assert "A_TIRE" not in os.environ
+    assert "does not reach the workers of a cluster" in typed(*sweep, "sweep.workers=dask:2").err
+
+
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
 @pytest.mark.slow
 def test_any_launcher_writes_the_same_runs(typed: Typed, launcher: str) -> None:

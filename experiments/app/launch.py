@@ -18,6 +18,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 from tqdm import tqdm
 
+from experiments.app.build import plain
 from experiments.app.compose import as_typed, job_config
 from experiments.app.console import OK, Job
 from experiments.app.explain import ConfigError
@@ -94,6 +95,10 @@ def launch(
         cfg = job_config(_copied(config), config.hydra)
         task.sweep = Sweep(cfg, typed(config.hydra))
     sweep, checked = task.sweep, sweep_settings(settings)
+    if config.hydra.job.env_set and isinstance(checked.workers, str):
+        raise ConfigError(
+            "hydra.job.env_set: does not reach the workers of a cluster; set the variables there"
+        )
     task.composing.cancel()
     composed = _composed(jobs, context, config)
     plan = _planned(jobs, composed, checked.time_limit)
@@ -162,11 +167,15 @@ def _planned(
 
     def plan(setting: tuple[str, ...], config: DictConfig, lose: bool) -> None:
         cfg = job_config(_copied(config), config.hydra)
-        here = [job for job in jobs if job.setting == setting]
-        seeds = [cfg.seed if job.seed is None else job.seed for job in here]
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
-        of_setting = requests(cfg, words, seeds, trials, lose=lose)
-        planned.update(zip((job.number for job in here), of_setting, strict=True))
+        alike: dict[str, dict[int, int]] = {}  # seeds by number of job; ${seed} makes groups
+        for job in (job for job in jobs if job.setting == setting):
+            cfg.seed = cfg.seed if job.seed is None else job.seed
+            alike.setdefault(str({**plain(cfg), "seed": None}), {})[job.number] = cfg.seed
+        for seeds in alike.values():
+            cfg.seed = min(seeds.values())
+            of_seeds = requests(cfg, words, list(seeds.values()), trials, lose=lose)
+            planned.update(zip(seeds, of_seeds, strict=True))
 
     with Trials(time_limit) as trials:
         for setting, config in tqdm(composed.items(), "checking", leave=False, disable=None):

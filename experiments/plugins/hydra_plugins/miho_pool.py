@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hydra.core.utils import JobReturn
+from hydra.core.utils import JobReturn, env_override
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
@@ -42,7 +42,8 @@ class PoolLauncher(Launcher):
         """Do the jobs of a batch that are not done; gives the error that each of them reached."""
         from experiments.app.launch import launch
 
-        return launch(
-            job_overrides, initial_job_idx, self.hydra_context, self.task_function, self.config,
-            self.settings,
-        )  # fmt: skip
+        with env_override(self.config.hydra.job.env_set):
+            return launch(
+                job_overrides, initial_job_idx, self.hydra_context, self.task_function, self.config,
+                self.settings,
+            )  # fmt: skip
