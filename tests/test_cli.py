@@ -251,6 +251,12 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         ["space=null"],
         "space=null: is not an option; ~space removes the group",
     ),
+    "a list for a choice": (
+        ["dataset=[tire_lf,tire_rf]"],
+        "is a list; choose one option, or sweep: -m dataset=tire_lf,tire_rf",
+    ),
+    "a list in a sweep": (["-m", "dataset=[tire_lf,tire_rf],tire_rr"], "is a list; choose one"),
+    "a number with decimals in a sweep": (["-m", "seed=1.0,2"], "seed: is '1.0,2'; expected a who"),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
     "a shell's brackets": (
         ["dataset.units={a: m/s^2}"],

@@ -276,6 +276,20 @@ def test_settings_that_follow_the_seed_differ_in_a_sweep(typed: Typed) -> None:
     assert list(runs["optimizer"]) == [f"m{seed}" for seed in runs["seed"]]
 
 
+def test_a_setting_of_swept_options_is_not_for_the_default_option(typed: Typed) -> None:
+    sweep = ("-m", "optimizer=pso_100,pso_500", "optimizer.particles=5")
+    ended = typed(*sweep, tiny=False)
+    assert ended.code == 0, ended.err
+    assert "2 runs: 2 ran" in ended.out
+
+
+def test_a_sweep_over_roots_stores_a_run_in_each(typed: Typed, tmp_path: Path) -> None:
+    roots = [tmp_path / "a", tmp_path / "b"]
+    ended = typed("-m", f"root={roots[0]},{roots[1]}")
+    assert ended.code == 0, ended.err
+    assert [len(load_runs(root).runs) for root in roots] == [1, 1]
+
+
 def test_the_pool_sets_variables_of_the_environment(typed: Typed) -> None:
     sweep = ["-m", "+hydra.job.env_set.A_TIRE=rr", "dataset.tire=${oc.env:A_TIRE}"]
     assert "pacejka-tire_rr" in typed(*sweep).out

@@ -71,7 +71,7 @@ class ClusterRuns:
 
     def __init__(self, workers: ClusterWorkers[Request, Delivery], *, shared: bool) -> None:
         self._workers, self._shared = workers, shared
-        self._claims: dict[str, ExitStack] = {}
+        self._claims: dict[tuple[str, str], ExitStack] = {}
         self._known: deque[JobOutcome[Request, State]] = deque()
 
     def __enter__(self) -> ClusterRuns:
@@ -109,7 +109,7 @@ class ClusterRuns:
                 if result is not None:
                     self._knows(with_result(request, Status.DONE_BEFORE, result))
                     return
-                self._claims[request.identity.id] = stack.pop_all()
+                self._claims[request.key] = stack.pop_all()
         self._workers.start(replace(request, root=str(store.root)))
 
     def wait(self, seconds: float) -> list[JobOutcome[Request, State]]:
@@ -137,7 +137,7 @@ class ClusterRuns:
     def _stored(self, ended: JobOutcome[Request, Delivery]) -> JobOutcome[Request, State]:
         """Store the files that a worker sent, and return the outcome for the sweep."""
         request = ended.job
-        with self._claims.pop(request.identity.id, ExitStack()):
+        with self._claims.pop(request.key, ExitStack()):
             state, files = ended.result or (None, {})
             if files:
                 Store(Path(request.root)).receive(request.identity, files)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import ChoiceSweep, Override, OverrideType
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import (
@@ -79,11 +79,20 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
 
 
 def check_choices(texts: Sequence[str]) -> None:
-    """Raise ConfigError for a number or null in place of an option of conf/, before Hydra fails."""
-    for override in parse_overrides(texts):
+    """Raise ConfigError for a number, null or a list in place of an option of conf/.
+
+    Hydra fails without a reason for a number or null. It merges the options of a list, of which
+    then only the last would be used; only experiments are merged.
+    """
+    for text, override in zip(texts, parse_overrides(texts), strict=True):
         key, value = override.key_or_group, override.value()
-        if override.is_delete() or not isinstance(value, int | float | None):
+        if isinstance(value, ChoiceSweep):
+            value = next((item for item in value.list if isinstance(item, list)), "")
+        if override.is_delete() or not isinstance(value, int | float | list | None):
             continue
+        if isinstance(value, list) and key != "experiment" and options_of(key):
+            names = ",".join(map(str, value))
+            raise ConfigError(f"{text}: is a list; choose one option, or sweep: -m {key}={names}")
         options = options_of(key)
         if options and value is None:
             raise ConfigError(f"{key}=null: is not an option; ~{key} removes the group")
@@ -93,16 +102,21 @@ def check_choices(texts: Sequence[str]) -> None:
 
 OPEN = ("problem.parts", "online.changes", "online.names", "online.input_noise")
 """Nodes to which an override adds names."""
+CHOOSING = {"model", "dataset", "space", "loss", "problem", "optimizer"}
+"""Groups whose options have different settings."""
 
 
 def replace_spaces(texts: Sequence[str]) -> list[str]:
     """Rewrite overrides for Hydra.
 
     `space={...}` replaces the whole space. `+space.NAME=...`, `hydra.sweeper.params.KEY=...` and
-    names in the nodes of `OPEN` add to the composed node.
+    names in the nodes of `OPEN` add to the composed node. In a sweep over options, a setting is a
+    choice of one value: Hydra then adds it to each job, and not to the default option as well.
     """
     whole: list[str] = []
-    for text, override in zip(texts, parse_overrides(texts), strict=True):
+    overrides = parse_overrides(texts)
+    swept = {x.key_or_group for x in overrides if x.is_sweep_override()} & CHOOSING
+    for text, override in zip(texts, overrides, strict=True):
         key, _, value = text.partition("=")
         names = override.key_or_group.split(".")
         if override.key_or_group == "space" and isinstance(override.value(), dict):
@@ -119,9 +133,15 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
             whole.append(f"++{'.'.join(names[:2])}={value}")
         elif names[:3] == ["hydra", "sweeper", "params"] and not override.is_delete():
             whole.append(f"++{text.lstrip('+')}")
+        elif swept and len(names) > 1 and names[0] in CHOOSING and value and _is_plain(override):
+            whole.append(f"{key}=choice({value})")
         else:
             whole.append(text)
     return whole
+
+
+def _is_plain(override: Override) -> bool:
+    return override.type is OverrideType.CHANGE and not override.is_sweep_override()
 
 
 def _unreadable(text: str) -> str:
@@ -162,7 +182,9 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         key = str(cause.full_key)
         typed = [text for text in texts if text.lstrip("+").startswith(f"{key}=")]
         if expected and typed:
-            return f"{key}: is {parse_overrides(typed)[-1].value()!r}; expected {expected}"
+            given = parse_overrides(typed)[-1]
+            value = typed[-1].partition("=")[2] if given.is_sweep_override() else given.value()
+            return f"{key}: is {value!r}; expected {expected}"
     for text in texts:
         if text.startswith("+experiment="):
             return f"{text}: an experiment is chosen once; write {text[1:]}"

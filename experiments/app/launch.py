@@ -114,8 +114,8 @@ def launch(
     sweep.plan += plan
     sweep.states += outcome.states
     outcome.raise_if_stopped()
-    states = {state.request.identity.id: state for state in outcome.states}
-    errors = [states[request.identity.id].error for request in plan]
+    states = {state.request.key: state for state in outcome.states}
+    errors = [states[request.key].error for request in plan]
     return [
         _returned(job, error, composed[job.setting], context)
         for job, error in zip(jobs, errors, strict=True)

@@ -55,6 +55,11 @@ class Request:
     lost: str | None = None
     experiment: Experiment | None = field(default=None, compare=False)
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Folder of results and identity: requests with the same key are for one run."""
+        return str(Path(self.root).absolute()), self.identity.id
+
 
 def request_of(experiment: Experiment, cfg: Settings, words: str = "") -> Request:
     """Request of a run that is built already and that this process executes."""

@@ -78,8 +78,8 @@ def _print_errors(states: Sequence[State]) -> None:
 
     A run that several jobs requested, as trials of a study can, counts once.
     """
-    by_id = {state.request.identity.id: state for state in states if state.error is not None}
-    ended = list(by_id.values())
+    by_key = {state.request.key: state for state in states if state.error is not None}
+    ended = list(by_key.values())
     if ended:
         names = [state.request.identity for state in ended]
         rows = [

@@ -85,7 +85,7 @@ def run(
     are sent to the tracker of `tracking`, unless a signal stopped the runs.
     """
     runs = PlanOutcome()
-    unique = list({request.identity.id: request for request in plan}.values())
+    unique = list({request.key: request for request in plan}.values())
     if settings.dry_run:
         runs.states += [replace(stored_state(request), reason=None) for request in unique]
         return runs
@@ -169,8 +169,8 @@ def stored_state(request: Request) -> State:
 
 def _unknown(plan: Sequence[Request], states: Sequence[State]) -> list[State]:
     """States of the requests that have none yet, from the store."""
-    known = {state.request.identity.id for state in states}
-    unknown = [request for request in plan if request.identity.id not in known]
+    known = {state.request.key for state in states}
+    unknown = [request for request in plan if request.key not in known]
     stored = [Store(Path(request.root)).has_result(request.identity) for request in unknown]
     return [
         State(request, Status.DONE_BEFORE if is_stored else Status.TO_DO)
