@@ -152,6 +152,12 @@ def compared(
     Raises ConfigError if there are none, if they are on several problems, or of one method only.
     """
     stored = load_runs(root)
+    if damaged := len(stored.damaged):
+        print(
+            f"{root}: {damaged} damaged run{'s are' if damaged > 1 else ' is'} left out; "
+            f"python -m experiments.doctor {shlex.quote(str(root))} gives the reasons",
+            file=sys.stderr,
+        )
     runs = stored.runs if ids is None else stored.runs[stored.runs["id"].isin(ids)]
     problems = sorted(map(str, runs["problem"].unique()))
     if not problems:

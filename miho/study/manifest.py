@@ -57,15 +57,25 @@ def _number(value: Any, numbers: dict[str, int]) -> int:
 
 
 def sweep_commands(root: Path) -> list[list[str]]:
-    """Words of the command of each sweep that wrote into a root, the oldest sweep first."""
+    """Words of the command of each sweep that wrote into a root, the oldest sweep first.
+
+    If the root has been moved since, `root=` names its present place.
+    """
     paths = sorted((root / MANIFESTS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
     sweeps = []
     for path in paths:
         with contextlib.suppress(OSError, *MALFORMED):
             about = decoded(read_bytes(str(path), LARGEST))
             command = str(about.get("command", IDENTIFY)).split()
-            sweeps.append(["python", "-m", *command, *map(str, about["overrides"])])
-    return sweeps
+            words = [_at(root, str(word)) for word in about["overrides"]]
+            sweeps.append(["python", "-m", *command, *words])
+    return [words for k, words in enumerate(sweeps) if words not in sweeps[:k]]
+
+
+def _at(root: Path, word: str) -> str:
+    key, _, place = word.partition("=")
+    moved = key == "root" and "$" not in place and Path(place).resolve() != root.resolve()
+    return f"root={root}" if moved else word
 
 
 def first_names(names: Sequence[str]) -> str:

@@ -69,6 +69,16 @@ def test_fig6_of_a_root_that_no_comparison_made(
     assert "no runs of gone; expected paper or some of miho, random" in capsys.readouterr().err
 
 
+def test_a_figure_counts_the_damaged_runs_that_it_leaves_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in (20, 30, 40):
+        run(tmp_path, "optimizer=random", f"optimizer.batch={number}")
+    next(tmp_path.rglob("curve.json")).unlink()
+    assert len(compared(tmp_path)[0]) == 2
+    assert "1 damaged run is left out; python -m experiments.doctor" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_each_problem_of_a_root_has_its_own_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -163,3 +173,6 @@ def test_the_sweeps_of_a_root_are_known_by_their_overrides(tmp_path: Path) -> No
     assert sweep_commands(tmp_path) == [["python", "-m", *command.split()]]
     write_manifest(tmp_path, ["seed=0"], {}, "experiments.compare")
     assert sweep_commands(tmp_path)[1] == ["python", "-m", "experiments.compare", "seed=0"]
+    for root in (tmp_path / "moved", tmp_path):  # a sweep of a root that was moved, and the next
+        write_manifest(tmp_path, ["seed=1", f"root={root}"], {})
+    assert [words[-1] for words in sweep_commands(tmp_path)[2:]] == [f"root={tmp_path}"]
