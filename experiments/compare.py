@@ -52,10 +52,9 @@ def compare(cfg: DictConfig) -> None:
             "hydra/launcher: makes no comparison; leave it out, or write python -m "
             "experiments.identify -m experiment=compare and then python -m experiments.figures fig6"
         )
-    overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
     words = typed(HydraConfig.get())
     settings = sweep_settings(cfg.sweep)
-    plan, note = planned_arena(cfg, overrides)
+    plan, note = planned_arena(cfg, list(HydraConfig.get().overrides.task))
     runs = run(
         plan,
         settings,

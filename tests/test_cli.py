@@ -551,6 +551,7 @@ def test_completion(identify: Command, tmp_path: Path, typed: str, completed: li
     ("override", "message"),
     [
         ("problem=tire_lf", "error: problem: cannot be chosen here"),
+        ("seed=3", "error: seed: cannot be chosen here; set comparison.repetitions"),
         ("sweep.workers=0", "error: sweep.workers: is 0"),
         ("comparison.repetitions=0", "error: comparison.repetitions: is 0"),
         ("comparison.processes=2", "error: comparison.processes: is now sweep.workers"),
@@ -642,6 +643,10 @@ def test_a_dry_run_of_an_arena_lists_its_runs(compare: Command) -> None:
     assert code == 0
     assert "to do: problem=tire_lf optimizer=miho seed=0" in out
     assert out.splitlines()[-1] == "78 runs: 78 to do"
+    methods = "comparison.methods={miho: {R: 30}, random: {}, pso_100: {particles: 5}}"
+    added = "+comparison.methods.least_squares={}"
+    code, out, _ = compare("experiment=arena_small", problems, methods, added, "sweep.dry_run=true")
+    assert (code, out.splitlines()[-1]) == (0, "24 runs: 24 to do")
 
 
 @pytest.mark.slow

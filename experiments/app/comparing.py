@@ -22,7 +22,7 @@ from experiments.app.build import (
 )
 from experiments.app.compose import composed, option_folders
 from experiments.app.console import OK, SOME_FAILED
-from experiments.app.explain import unknown_message
+from experiments.app.explain import parse_overrides, unknown_message
 from experiments.app.instantiation import MissingLibraryError
 from experiments.app.options import options_of
 from experiments.app.plan import Request, Trials, requests
@@ -33,10 +33,13 @@ from miho.vehicle.data import DataUnavailableError
 
 METHODS, FAMILIES = 3, 2
 """Least numbers of methods and of families of problems for Friedman's test."""
+INSTEAD = {"optimizer": "methods", "problem": "problems", "seed": "repetitions"}
+"""Settings of a single run, and the settings of an arena in their place."""
 
 
 def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], str]:
     """Runs of an arena, and a note on its size for figures."""
+    _replace_methods(cfg, overrides)
     _check(cfg, overrides)
     arena = plan_arena(cfg, overrides)
     for name, reason in arena.left_out.items():
@@ -52,6 +55,19 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
     return list(arena.plan), note
 
 
+def _replace_methods(cfg: DictConfig, overrides: Sequence[str]) -> None:
+    """Let comparison.methods={...} replace the methods of the experiment, with which Hydra merges.
+
+    A method that another override adds is kept.
+    """
+    typed = {override.key_or_group: override.value() for override in parse_overrides(overrides)}
+    methods = typed.get("comparison.methods")
+    if isinstance(methods, dict):
+        merged = cfg.comparison.methods.items()
+        added = {name: node for name, node in merged if f"comparison.methods.{name}" in typed}
+        cfg.comparison.methods = {**methods, **added}
+
+
 def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
     """Raise ConfigError for an impossible arena."""
     if not (cfg.comparison.methods and cfg.comparison.problems):
@@ -62,9 +78,9 @@ def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
     repetitions = cfg.comparison.repetitions
     if repetitions < 1:
         raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
-    for group in ("optimizer", "problem"):
-        if any(o.startswith(f"{group}=") for o in overrides):
-            raise ConfigError(f"{group}: cannot be chosen here; see comparison.{group}s")
+    for key, instead in INSTEAD.items():
+        if any(o.lstrip("+").startswith(f"{key}=") for o in overrides):
+            raise ConfigError(f"{key}: cannot be chosen here; set comparison.{instead}")
 
 
 def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:

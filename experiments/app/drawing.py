@@ -166,7 +166,8 @@ def compared(
         raise ConfigError(f"problem: is {problem}, but {root} has no runs on it; {_of(problems)}")
     if problem is None and len(problems) != 1:
         raise ConfigError(
-            f"{root}: holds runs on {len(problems)} problems; add problem=NAME, {_of(problems)}"
+            f"{root}: holds runs on {len(problems)} problems; draw one: python -m "
+            f"experiments.figures fig6 root={root} problem=NAME, {_of(problems)}"
         )
     runs = runs[runs["problem"] == (problem or problems[0])]
     if methods is not None:

@@ -109,9 +109,10 @@ CHOOSING = {"model", "dataset", "space", "loss", "problem", "optimizer"}
 def replace_spaces(texts: Sequence[str]) -> list[str]:
     """Rewrite overrides for Hydra.
 
-    `space={...}` replaces the whole space. `+space.NAME=...`, `hydra.sweeper.params.KEY=...` and
-    names in the nodes of `OPEN` add to the composed node. In a sweep over options, a setting is a
-    choice of one value: Hydra then adds it to each job, and not to the default option as well.
+    `space={...}` replaces the whole space, and `comparison.methods=[a,b]` means `{a: {}, b: {}}`.
+    `+space.NAME=...`, `hydra.sweeper.params.KEY=...` and names in the nodes of `OPEN` add to the
+    composed node. In a sweep over options, a setting is a choice of one value: Hydra then adds it
+    to each job, and not to the default option as well.
     """
     whole: list[str] = []
     overrides = parse_overrides(texts)
@@ -121,6 +122,11 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
         names = override.key_or_group.split(".")
         if override.key_or_group == "space" and isinstance(override.value(), dict):
             whole += ["~space", f"+{text.lstrip('+')}"]
+        elif override.key_or_group == "comparison.methods" and not override.is_delete():
+            methods = override.value()
+            if isinstance(methods, list):
+                value = f"{{{', '.join(f'{name}: {{}}' for name in methods)}}}"
+            whole.append(f"++comparison.methods={value}")
         elif override.is_add() and key.lstrip("+").startswith("space."):
             for name in reversed(key.split(".")[1:]):
                 value = f"{{{name}: {value}}}"

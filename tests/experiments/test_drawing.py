@@ -152,7 +152,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no runs of gone; expected paper or some of pso_100, r"):
         compared(tmp_path, methods=["random", "gone"])
     commit(tmp_path, "random", "growth")
-    with pytest.raises(ConfigError, match="2 problems; add problem=NAME, expected one of decay, g"):
+    with pytest.raises(ConfigError, match=r"fig6 root=.* problem=NAME, expected one of decay, g"):
         compared(tmp_path)
     assert len(compared(tmp_path, problem="decay")[0]) == 2
     with pytest.raises(ConfigError, match=r"problem: is x, but .* has no runs on it; expected one"):
