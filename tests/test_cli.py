@@ -152,6 +152,13 @@ def missing_coefficient(tmp_path: Path) -> list[str]:
     return ["dataset=tir", f"dataset.tire={path}"]
 
 
+def option_of_a_known_name(tmp_path: Path) -> list[str]:
+    path = tmp_path / "optimizer" / "miho.yaml"
+    path.parent.mkdir()
+    path.write_text((ROOT / "conf" / "optimizer" / "miho.yaml").read_text().replace("5", "4"))
+    return ["optimizer=miho", f"--config-dir={tmp_path}"]
+
+
 BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "unknown optimizer": (
         ["optimizer=foo"],
@@ -315,6 +322,11 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         "'Q' uses an unknown parameter Q",
     ),
     "a number for a constraint": (["problem.constraints=5"], "constraints: expected linear relat"),
+    "an option of a known name": (option_of_a_known_name, "miho.yaml is not read, because conf/"),
+    "two folders of options": (
+        ["--config-dir=a", "-cd", "b"],
+        "--config-dir: is given 2 times, and Hydra reads one folder",
+    ),
     "no such folder": (["--config-dir", "no/such"], "--config-dir: no/such is not a folder"),
     "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),
     "a .tir without a coefficient": (missing_coefficient, "PKY1"),

@@ -160,6 +160,11 @@ def command(
     def run() -> int:
         options, overrides = _split(sys.argv[1:])
         folders = [CONF, *map(Path, _values(options, "--config-dir", "-cd"))]
+        if len(folders) > 2:
+            raise ConfigError(
+                f"--config-dir: is given {len(folders) - 1} times, and Hydra reads one folder; add "
+                "others as 'hydra.searchpath=[/path/to/folder]'"
+            )
         if {"--help", "-h"} & set(options):
             print(help_text(task, settings, overrides, folders))
             return OK

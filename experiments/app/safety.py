@@ -35,6 +35,7 @@ import miho.vehicle.data
 import miho.vehicle.models
 from baselines.online import Stream
 from experiments.app.explain import ConfigError
+from experiments.app.options import source
 from miho.data import Dataset
 from miho.identification import Loss
 from miho.models import Model
@@ -170,11 +171,20 @@ class ReceivedError(ConfigError):
 
 
 def check_folder(folder: Path) -> None:
-    """Raise ConfigError if a folder of options is missing, ReceivedError for its first bad file."""
+    """Raise ConfigError if a folder of options is missing, ReceivedError for its first bad file.
+
+    Of two files with one name Hydra reads the file in conf/, so another one in `folder` is refused.
+    """
     if not folder.is_dir():
         raise ConfigError(f"--config-dir: {folder} is not a folder; check the path")
     for path in sorted((*folder.rglob("*.yaml"), *folder.rglob("*.yml"))):
         check_file(path)
+        place = path.relative_to(folder)
+        if source(str(place.parent), place.stem) not in ("", path.read_text("utf-8").strip()):
+            raise ConfigError(
+                f"--config-dir: {path} is not read, because conf/ has an option of this name; "
+                "rename the file"
+            )
 
 
 def check_file(path: Path) -> None:
