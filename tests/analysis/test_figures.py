@@ -179,6 +179,15 @@ def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
     assert all(float(label.get_fontsize()) >= 8 for label in labels)
 
 
+def test_long_labels_leave_the_panel_wide() -> None:
+    runs, curves = frames({"miho": [[(1.0, 400.0)]], "random": [[(1.0, 900.0)]]})
+    for frame in (runs, curves):
+        frame["optimizer"] = frame["optimizer"] + " seconds=0.5, points=50, code=8c5dac"
+    figure = fig6(runs, curves)
+    figure.draw_without_rendering()
+    assert figure.axes[0].get_position().width > 0.4
+
+
 @pytest.mark.slow
 def test_a_long_caption_stays_on_the_page() -> None:
     note = "R = 2000, 5 repetitions, at most 4 s per run, " * 4

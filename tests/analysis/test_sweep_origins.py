@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from miho import Budget, load_runs, minimize
+from miho.analysis.pages.sweep_contents import best_runs
 from miho.analysis.pages.sweep_runs import MANY, Sweep, environment_table, json_leaves
 from miho.optim import RandomSearch, RunRecord
 from miho.study import Identity, Store, execute
@@ -37,6 +39,16 @@ def test_origins_of_stored_runs(root: Path) -> None:
     assert first.config == {"optimizer.n": "1", "budget.evaluations": "50"}
     assert first.environment["python"].startswith('"3.')
     assert second.config is first.config
+
+
+def test_of_equal_runs_the_best_has_evidence(root: Path) -> None:
+    sweep = Sweep.of(load_runs(root))
+    runs = sweep.runs.assign(
+        error=[0.5, 0.5 * (1 + 1e-15), 0.4], outcome=["budget", "converged", "budget"]
+    )
+    folders = list(map(Path, runs["folder"]))
+    assert best_runs(replace(sweep, runs=runs[:2])) == {"decay": folders[1]}
+    assert best_runs(replace(sweep, runs=runs)) == {"decay": folders[2]}
 
 
 def test_a_page_shows_the_runs_as_they_were_read(root: Path) -> None:

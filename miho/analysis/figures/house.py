@@ -25,6 +25,8 @@ from miho.study import write_bytes
 NARROW = 140 / 25.4
 """Width [inches] of a figure that is readable on a phone."""
 TIME_LABEL_WIDTH = 44  # characters of 9 pt text below a panel of half WIDTH
+LONGEST = 34
+"""Longest line of a label [characters]."""
 AXIS_LABELS = {
     "seconds": "time [s]",
     "cpu_seconds": "CPU seconds",
@@ -117,6 +119,7 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
     """Write the labels at the right edge, each joined to its curve by a line in its style.
 
     Call it last: limits and scale of the axis must be final. `size` is the font size in points.
+    Long labels are wrapped if there is room, so that the panel stays wide.
     """
     figure = ax.get_figure(root=True)
     if figure is None or not labels:
@@ -125,8 +128,12 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
     height = ax.get_window_extent().height / figure.dpi * 72
     values = [label.value for label in labels]
     ends = np.array([1.0 if np.isnan(value) else _fraction(ax, value) for value in values])
-    spots = spread_apart(ends, 1.45 * size / height)
-    for label, end, spot in zip(labels, ends, spots, strict=True):
+    texts = [textwrap.fill(label.text, LONGEST) for label in labels]
+    gap = 1.45 * size / height * (1 + max(text.count("\n") for text in texts))
+    if gap * (len(labels) - 1) > 1:
+        texts, gap = [label.text for label in labels], 1.45 * size / height
+    spots = spread_apart(ends, gap)
+    for label, text, end, spot in zip(labels, texts, ends, spots, strict=True):
         if not np.isnan(label.value):
             xs, ys = [1.0, 1.04, 1.11], [end, spot, spot]
             line = Line2D(xs, ys, transform=ax.transAxes, clip_on=False)
@@ -136,11 +143,11 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
         ax.text(
             1.13,
             spot,
-            label.text,
+            text,
             transform=ax.transAxes,
             color=label.style.color,
             fontsize=size,
-            verticalalignment="center_baseline",
+            verticalalignment="center" if "\n" in text else "center_baseline",
             parse_math=False,  # a setting may look like a formula
         )
 

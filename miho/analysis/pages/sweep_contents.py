@@ -19,6 +19,7 @@ from miho.analysis.pages.sweep_runs import Sweep, environment_table
 from miho.analysis.timing import undisturbed
 from miho.analysis.variants import base_name
 
+ROUNDING = 1e-9
 CLAIMS = (
     "The paper's claims and our results with 95 % bootstrap intervals. The reason column explains "
     "each verdict."
@@ -94,8 +95,14 @@ def contents(
 
 
 def best_runs(sweep: Sweep) -> dict[str, Path]:
-    """The folder of the best run of each problem that has a run with a finite error."""
+    """The folder of the best run of each problem that has a run with a finite error.
+
+    Of runs whose errors differ by rounding, the best is one with evidence for its optimum.
+    """
     finite = sweep.runs[sweep.runs["error"].notna()].sort_values("error", kind="stable")
+    least = finite.groupby("problem")["error"].transform("min")
+    doubt = (finite["error"] > (1 + ROUNDING) * least) | (finite["outcome"] != "converged")
+    finite = finite.loc[doubt.sort_values(kind="stable").index]
     firsts = finite.drop_duplicates("problem").set_index("problem")["folder"]
     order = [problem for problem in sweep.runs["problem"].unique() if problem in firsts]
     return {str(problem): Path(firsts[problem]) for problem in order}
