@@ -2,10 +2,8 @@
 
     root/.sweeps/<hash of the overrides>.json
 
-A manifest detects that the same overrides later mean other settings. It stores each distinct part
-of a configuration (the model, the dataset ...) once, each configuration as the numbers of its
-parts, and each run as its place and the number of its configuration, so thousands of runs that
-differ in seed and one setting repeat nothing else.
+It detects that the same overrides later mean other settings. Each distinct part of a configuration
+(the model, the dataset ...) is stored once; configurations and runs have its number.
 """
 
 from __future__ import annotations
@@ -62,14 +60,14 @@ def sweep_commands(root: Path) -> list[list[str]]:
     If the root has been moved since, `root=` names its present place.
     """
     paths = sorted((root / MANIFESTS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
-    sweeps = []
+    sweeps: list[list[str]] = []
     for path in paths:
         with contextlib.suppress(OSError, *MALFORMED):
             about = decoded(read_bytes(str(path), LARGEST))
             command = str(about.get("command", IDENTIFY)).split()
-            words = [_at(root, str(word)) for word in about["overrides"]]
-            sweeps.append(["python", "-m", *command, *words])
-    return [words for k, words in enumerate(sweeps) if words not in sweeps[:k]]
+            words = ["python", "-m", *command, *(_at(root, str(o)) for o in about["overrides"])]
+            sweeps += [words] * (words not in sweeps)
+    return sweeps
 
 
 def _at(root: Path, word: str) -> str:
@@ -87,10 +85,7 @@ def first_names(names: Sequence[str]) -> str:
 def other_settings(
     root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]
 ) -> Iterator[tuple[Path, list[str]]]:
-    """Finished runs that the same overrides gave with other settings, before conf/ was edited.
-
-    Yields the folder of each run and the keys that differ.
-    """
+    """Finished runs that the same overrides gave with other settings, and the keys that differ."""
     for words, entry in _read(_path(root, overrides)).items():
         identity = runs.get(words)
         if identity is None or entry["config"] == dict(identity.config):
@@ -103,8 +98,7 @@ def other_settings(
 def without_result(root: Path, problem: str | None = None) -> tuple[list[Path], int]:
     """Folders of a root's planned runs without a result, and the number of all planned runs.
 
-    With `problem` only its runs count, and runs that were set aside never do. A sweep in progress
-    has runs without results.
+    With `problem` only its runs count, and runs that were set aside never do.
     """
     places: dict[Path, None] = {}
     for path in sorted((root / MANIFESTS).glob("*.json")):
