@@ -182,6 +182,10 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         ["budget.evaluations=1.5"],
         "budget.evaluations: is 1.5; expected a whole number",
     ),
+    "evaluations as a power of ten": (
+        ["budget.evaluations=1e3"],
+        "budget.evaluations: is 1000.0; expected a whole number, written 1000\n",
+    ),
     "no evaluation": (["budget.evaluations=0"], "budget.evaluations is 0"),
     "negative seed": (["seed=-1"], "seed: is -1"),
     "a foreign target": (["model._target_=os.system"], "model._target_: 'os.system' is not"),

@@ -190,6 +190,8 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         if expected and typed:
             given = parse_overrides(typed)[-1]
             value = typed[-1].partition("=")[2] if given.is_sweep_override() else given.value()
+            if expected == "a whole number" and isinstance(value, float) and value.is_integer():
+                expected += f", written {value:.0f}"
             return f"{key}: is {value!r}; expected {expected}"
     for text in texts:
         if text.startswith("+experiment="):
