@@ -160,9 +160,9 @@ def bars(frame: pd.DataFrame) -> list[Bar]:
             Bar(f"{name}: mean {column}", own[prefix + column], AT_MOST, limit, "%")
             for column, limit in errors.items()
         ]
-        best = min((row.get(prefix + "error", np.inf) for row in peers), default=np.nan)
-        ratio = own[prefix + "error"] / best
-        judged.append(Bar(f"{name}: error on jumps / best peer's", ratio, AT_MOST, 0.7))
+        if peers:
+            ratio = own[prefix + "error"] / min(row.get(prefix + "error", np.inf) for row in peers)
+            judged.append(Bar(f"{name}: error on jumps / best peer's", ratio, AT_MOST, 0.7))
         most = own[prefix + "most alarms"]
         judged.append(Bar(f"{name}: alarms of one change", most, AT_MOST, 1))
         moved, grown = own[prefix + "moved sd"], own[prefix + "interval grows"]
