@@ -16,9 +16,8 @@ import pandas as pd
 import pytest
 
 from miho.analysis.pages.html import environment
-from miho.analysis.pages.sweep import Best, sweep_page
+from miho.analysis.pages.sweep import Best, sweep_page, vega
 from miho.analysis.pages.sweep_contents import Contents
-from miho.analysis.pages.vega import vega
 from tests.analysis.arena_synthetic import arena, methods
 from tests.analysis.sweep_synthetic import embedded, origin, sweep_of
 from tests.analysis.synthetic import like_fig6

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +33,19 @@ from miho.analysis.pages.sweep_tables import (
     problems_table,
     warnings,
 )
-from miho.analysis.pages.vega import PACKAGE, vega
 from miho.analysis.styles import MethodStyle, styles_of
 from miho.analysis.text import rounded
 from miho.analysis.timing import clock_of
 from miho.figures.style import house_style
 from miho.study import StoredRun, load_runs, read_run, write_text
+from miho.study.identity import sha256
 
 MANY_METHODS = 12
 """With more methods than this, the page initially shows only the first ten."""
 FIRST = 10
 BANDS = 4
 """Largest number of methods with which the page initially shows bands."""
+PACKAGE = "vl-convert-python"
 STILL = (
     f"Lines are means over seeds, bands extend from 10 to 90 %. For interactive curves, "
     f"pip install {PACKAGE} and create the report again."
@@ -252,3 +255,44 @@ def _summary(errors: pd.DataFrame) -> str:
     median = next(name for name in errors.columns if name.startswith("median error"))
     unit = median.partition("[")[2].rstrip("]")
     return f"{first['method']} {first[median]} {unit}".replace(" -", "")
+
+
+SNIPPET = "window.vegaEmbed = vegaEmbed;"
+"""Export of the bundle to the script of the page."""
+
+
+def vega(cache: Path | None = None) -> Markup | None:
+    """The chart library, Vega with Vega-Lite and Vega-Embed, as one script.
+
+    vl-convert bundles it in seconds, so it is kept in the user's cache folder. None if vl-convert
+    is not installed.
+    """
+    try:
+        import vl_convert
+    except ImportError:
+        return None
+    import pooch  # slow to import
+
+    cache = Path(pooch.os_cache("miho")) if cache is None else cache
+    path = cache / f"vega-{version(PACKAGE)}-{sha256(SNIPPET)[:12]}.js"
+    script = _stored(path)
+    if script is None:
+        bundle = vl_convert.javascript_bundle(SNIPPET)
+        script = bundle.replace("</script", "<\\/script")  # equivalent in a string
+        with contextlib.suppress(OSError):  # without a cache it is bundled again
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, f"{_head(script)}\n{script}")
+    return Markup(script)  # noqa: S704 - nothing in it closes the element
+
+
+def _stored(path: Path) -> str | None:
+    """The script in a file that begins with its digest; None if it is missing or damaged."""
+    try:
+        head, _, script = path.read_text(encoding="utf-8").partition("\n")
+    except (OSError, UnicodeDecodeError):
+        return None
+    return script if head == _head(script) else None
+
+
+def _head(script: str) -> str:
+    return f"// sha256 {sha256(script)}"
