@@ -324,14 +324,14 @@ class CurveFit(Remade, LeastSquaresProblem):
 
         Bounds, ties, sigma, priors and the loss may change without a change of the outputs.
         """
-        from miho.models.leaves import description
+        from miho.models.spread import description
 
         return description(self.model, (*self.inputs, self._output))
 
     @property
     def called_as(self) -> list[list[bool | None]]:
         """Results of the trial calls of the model's functions: how to call each of them."""
-        from miho.models.leaves import tried_calls
+        from miho.models.spread import tried_calls
 
         return tried_calls(self.model)
 
@@ -339,13 +339,13 @@ class CurveFit(Remade, LeastSquaresProblem):
         """This problem with its functions called as in `called_as` of the same problem."""
         if not calls:
             return self
-        from miho.models.leaves import called
+        from miho.models.spread import called
 
         return self._with(called(self.model, calls))
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model evaluated by workers; itself if the model is arithmetic."""
-        from miho.models.leaves import spread
+        from miho.models.spread import spread
 
         return self._with(spread(self.model, evaluations, self.losses_of))
 
