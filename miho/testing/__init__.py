@@ -17,10 +17,9 @@ from miho.exports import at_first_use
 
 if TYPE_CHECKING:
     from miho.testing.decay_fit import DecayFit
-    from miho.testing.failure import ConformanceError, NoEvaluation
-    from miho.testing.models import check_model
+    from miho.testing.models import ConformanceError, check_model
     from miho.testing.optimizers import BUDGET, CHECKS, check_optimizer, run_check
-    from miho.testing.patience import PATIENCE
+    from miho.testing.patience import PATIENCE, NoEvaluation
 
 __all__ = [
     "BUDGET",

@@ -8,7 +8,16 @@ import numpy as np
 
 from miho.models import Model
 from miho.quantities import Array
-from miho.testing.failure import require
+
+
+class ConformanceError(AssertionError):
+    """A failed check: its name and the observation."""
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise ConformanceError with this message unless the condition is true."""
+    if not condition:
+        raise ConformanceError(message)
 
 
 def check_model(model: Model, thetas: Array, *inputs: Array) -> None:

@@ -9,13 +9,15 @@ import time
 from collections.abc import Iterator
 from types import FrameType
 
-from miho.testing.failure import NoEvaluation
-
 PATIENCE = 60.0
 """CPU seconds that a method may compute between two evaluations, and seconds that it may wait."""
 IDLE = 0.01
 """A method that computes for less than this share of the time is waiting; even a busy machine gives
 it more."""
+
+
+class NoEvaluation(BaseException):
+    """A method makes no evaluations. Not an Exception, which a method might catch."""
 
 
 @contextlib.contextmanager
