@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from miho.compiled.factors import fold, solve_in_box
+from miho.compiled import triangular
 from miho.compiled.gauss_newton_bracket import GNRules, square_distance
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
@@ -31,6 +31,7 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.phases import CHUNK
 from miho.compiled.triangular import between, in_order, norm
+from miho.core import machine
 from miho.quantities import Array
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
@@ -381,3 +382,13 @@ def after_evaluation(
             c.stage[i] = RECORD
     elif c.loss[i] < previous:
         c.sums[i] = w.sums
+
+
+def fold(T: Array, columns: Array, count: int, n: int) -> None:
+    """As `miho.compiled.triangular.fold`."""
+    (machine() or triangular).fold(T, columns, count, n)
+
+
+def solve_in_box(R: Array, q: Array, scale: Array, low: Array, high: Array, s: Array) -> None:
+    """As `miho.compiled.triangular.solve_in_box`."""
+    (machine() or triangular).solve_in_box(R, np.ascontiguousarray(q), scale, low, high, s)

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from miho.compiled import factors
-from miho.compiled.factors import fold, solve_in_box
+from miho.compiled import gauss_newton
+from miho.compiled.gauss_newton import fold, solve_in_box
 from miho.compiled.triangular import square_sum
 from miho.core import machine
 
@@ -24,7 +24,7 @@ and Stability of Numerical Algorithms, section 19.3), which is 1e-14 to 1e-13 fo
 def _form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test runs with the functions of the machine, and with those without it."""
     if request.param == "NumPy":
-        monkeypatch.setattr(factors, "machine", lambda: None)
+        monkeypatch.setattr(gauss_newton, "machine", lambda: None)
     elif machine() is None:
         pytest.skip("the machine was not built")
 
