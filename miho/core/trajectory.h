@@ -7,7 +7,7 @@
 #define MOST_POINTS MOST_ROWS /* points of derivatives side by side */
 #define APART (MOST_POINTS + 8) /* from one derivative to the next; no power of two (cache) */
 
-/* Fields of miho.compiled.course.Course: N times, q inputs, S states, d parameters, K outputs, R
+/* Fields of miho.models.layout.Course: N times, q inputs, S states, d parameters, K outputs, R
    rows of data, M starts. */
 typedef struct {
     const double *t, *u, *values;

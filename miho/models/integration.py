@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from miho.compiled.course import Course
 from miho.models.equations import Equations
+from miho.models.layout import Course
 from miho.quantities import Array
 
 ABSOLUTE = 1e-4

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from miho.compiled.course import Course
 from miho.core import Tape, TapeError, machine
 from miho.models.formula_tape import tape_of
+from miho.models.layout import Course
 from miho.models.symbolic import Symbol, argument, constant, gradient
 from miho.quantities import Array, Integers
 

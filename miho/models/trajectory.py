@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from miho.compiled.course import Course
 from miho.models.equations import NO_UNIT, Declared, Equations
 from miho.models.integration import Motion, Sensitivities, Values, along, runge_kutta, stiff
-from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout, check_scales
+from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Course, Layout, check_scales
 from miho.models.model import Model
 from miho.models.time_step import time_step_remarks
 from miho.quantities import Array

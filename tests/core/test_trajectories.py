@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from miho.compiled.course import Course
 from miho.core import machine
 from miho.models import Trajectory, taped_equations
 from miho.models.integration import Sensitivities, Values, along, runge_kutta
+from miho.models.layout import Course
 from miho.models.taped_equations import TapedEquations
 from miho.vehicle.models import single_track_drive, single_track_response
 
