@@ -18,9 +18,9 @@ from experiments.driving.settings import track_and_vehicle
 from miho.fitting.one_fit import fit
 from miho.identification.report import Report
 from miho.online import TrackerSettings
+from miho.vehicle.driving.double_track import FrictionSchedule
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
-from miho.vehicle.driving.friction_schedule import FrictionSchedule
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
 from miho.vehicle.driving.path_tracking import Weights

@@ -12,7 +12,7 @@ from experiments.driving.falling_grip import FallingGrip
 from miho.analysis import save
 from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.tracking import grip_figure
-from miho.vehicle.driving.friction_schedule import FrictionSchedule
+from miho.vehicle.driving.double_track import FrictionSchedule
 from miho.vehicle.driving.outcome import true_use
 from miho.vehicle.driving.simulation import Drive
 from miho.vehicle.driving.tracked_friction import TrackedFriction

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
-    from miho.vehicle.driving.double_track import DoubleTrack
+    from miho.vehicle.driving.double_track import DoubleTrack, FrictionSchedule
     from miho.vehicle.driving.driver import Driver
     from miho.vehicle.driving.embedded import embedded_plant
-    from miho.vehicle.driving.friction_schedule import FrictionSchedule
     from miho.vehicle.driving.known_car import KnownCar
     from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
     from miho.vehicle.driving.load_transfer import LoadTransfer, WheelLoads

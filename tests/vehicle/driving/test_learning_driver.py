@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from miho.vehicle.driving.double_track import FrictionSchedule
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
-from miho.vehicle.driving.friction_schedule import FrictionSchedule
 from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
 from miho.vehicle.driving.ovals import lvms
 from miho.vehicle.driving.path_tracking import Weights
