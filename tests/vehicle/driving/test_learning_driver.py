@@ -11,13 +11,12 @@ import pytest
 from miho.vehicle.driving.double_track import FrictionSchedule
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
-from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
+from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver, slowed_from
 from miho.vehicle.driving.ovals import lvms
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.plant import Motion
 from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.simulation import simulate
-from miho.vehicle.driving.slow_down import slowed_from
 from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.tracked_friction import MEAN, FrontAxle
 from tests.vehicle.driving.cars import car
