@@ -22,7 +22,7 @@ from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
 from miho.parallel.workers import JobOutcome
 from miho.study import Status, Store, execute, manifest
-from miho.study.changes import ResumeRefused, refuse_changes
+from miho.study.manifest import ResumeRefused, refuse_changes
 from miho.testing import DecayFit
 
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")

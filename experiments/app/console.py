@@ -39,7 +39,7 @@ from miho.parallel.cluster import ClusterError
 from miho.parallel.errors import SPURIOUS_INTERRUPT
 from miho.regular_file import NotAFileError
 from miho.study import DamagedRun
-from miho.study.changes import ResumeRefused
+from miho.study.manifest import ResumeRefused
 from miho.study.redaction import redacted
 from miho.vehicle.data import DataUnavailableError
 from miho.vehicle.driving.compiling import MissingNumbaError

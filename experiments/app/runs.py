@@ -36,9 +36,8 @@ from experiments.app.working import (
 from miho.parallel.cluster import ClusterLost
 from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Status, Store
-from miho.study.changes import refuse_changes
 from miho.study.files import RESULT
-from miho.study.manifest import IDENTIFY, first_names, write_manifest
+from miho.study.manifest import IDENTIFY, first_names, refuse_changes, write_manifest
 
 HERE = 0
 """Number of worker processes if the runs are executed in this process."""

@@ -10,9 +10,9 @@ from baselines.online import Stream
 from experiments.app.origin import packages_of, tracking_code
 from miho.online import OnlineMethod
 from miho.study import Identity, environment_stamp, write_text
-from miho.study.changes import ResumeRefused
 from miho.study.files import DamagedRun, read_signed, signed
 from miho.study.identity import sha256
+from miho.study.manifest import ResumeRefused
 
 SCORE = "score.json"
 ORIGIN = ("problem", "optimizer", "seed", "id", "code", "data", "packages", "config")

@@ -18,7 +18,7 @@ from experiments.online.calibrated import watched
 from experiments.online.stored import comparable, identity_of, is_stored, store
 from miho.online import TrackerSettings
 from miho.study import Identity
-from miho.study.changes import ResumeRefused
+from miho.study.manifest import ResumeRefused
 
 TIRE = "baselines.online.tire"
 
