@@ -73,7 +73,7 @@ def data_of(
     _check_alignment(x, values, sigma)
     values = numbers_in(output, values)
     if convention != "iso-w" or ranges or signed_model(model) is not None:
-        from miho.fitting.signs import in_signs_of
+        from miho.fitting.datasets import in_signs_of
 
         inputs, values = in_signs_of(model, inputs, values, convention, ranges, stated)
     while output in inputs:

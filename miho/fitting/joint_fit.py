@@ -10,13 +10,12 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.fitting.arguments import NEAR, by_label, data_of
-from miho.fitting.datasets import check_bounds
+from miho.fitting.datasets import check_bounds, largest_values
 from miho.fitting.expensive_fit import JournalPath, as_begun, expensive_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_descent import descended
 from miho.fitting.search import searched
-from miho.fitting.signs import largest_values
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss
