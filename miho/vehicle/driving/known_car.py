@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.quantities import Array
-from miho.vehicle.driving.error_estimator import ErrorEstimator
 from miho.vehicle.driving.grip import LOADS, Grip
 from miho.vehicle.driving.load_transfer import LoadTransfer
 from miho.vehicle.driving.loaded_axle import LoadedAxle
 from miho.vehicle.driving.path_tracking import (
     SPEEDS,
+    ErrorEstimator,
     GainSchedule,
     LateralModel,
     SampledModel,

@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from miho.quantities import Array
-from miho.vehicle.driving.error_estimator import ErrorEstimator
 from miho.vehicle.driving.friction import demand
-from miho.vehicle.driving.path_tracking import SLOWEST, GainSchedule
+from miho.vehicle.driving.path_tracking import SLOWEST, ErrorEstimator, GainSchedule
 from miho.vehicle.driving.track import Projection, Track, TrackPoint
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.axle import Axle

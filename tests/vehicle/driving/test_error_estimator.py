@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from miho.vehicle.driving.error_estimator import ErrorEstimator
-from miho.vehicle.driving.path_tracking import SampledModel, Weights
+from miho.vehicle.driving.path_tracking import ErrorEstimator, SampledModel, Weights
 from miho.vehicle.driving.sensors import Sensors
 from tests.vehicle.driving.cars import car
 
