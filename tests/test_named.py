@@ -16,7 +16,7 @@ import miho
 from miho.fitting.named import METHODS, loss_of, method_of
 from miho.fitting.progress import pace_line
 from miho.identification import CurveFit
-from miho.identification.loss import Square
+from miho.identification.residuals import Square
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.methods import DifferentialEvolution, LeastSquares
 from miho.optim.pace import LOGGED

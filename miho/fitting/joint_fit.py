@@ -18,7 +18,7 @@ from miho.fitting.one_descent import descended
 from miho.fitting.search import searched
 from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
-from miho.identification.loss import Loss
+from miho.identification.residuals import Loss
 from miho.identification.stated import stated_parameters
 from miho.identification.uncertainty import Linearised
 from miho.models.joint import parts_of

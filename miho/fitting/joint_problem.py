@@ -17,8 +17,8 @@ from miho.fitting.search import searched, spread
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import SMALLEST, examined
-from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
+from miho.identification.residuals import Loss, Square
 from miho.identification.uncertainty import linearised
 from miho.models.function_model import FunctionModel
 from miho.models.joint import JointModel, JointPart, joined, parts_of

@@ -12,7 +12,7 @@ from miho.fitting.arguments import DENSE, by_label, data_of, space_of
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import searched, spread
 from miho.identification.curve_fit import CurveFit
-from miho.identification.loss import Loss, Square
+from miho.identification.residuals import Loss, Square
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Space
 

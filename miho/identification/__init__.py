@@ -9,12 +9,12 @@ if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
     from miho.identification.experimental_design import Design, optimal_design
     from miho.identification.irreducible import irreducible_error
-    from miho.identification.loss import Loss, Square
     from miho.identification.model_comparison import ModelComparison, compare_models
     from miho.identification.parameters_file import identified
     from miho.identification.posterior import sample_posterior
     from miho.identification.report import Report
     from miho.identification.report_steps import make_report
+    from miho.identification.residuals import Loss, Square
     from miho.identification.robust_loss import Cauchy, Huber
     from miho.identification.uncertainty import Linearised, linearised
 

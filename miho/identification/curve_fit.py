@@ -19,8 +19,7 @@ from miho.identification.curve_fit_checks import (
     model_of,
     with_defaults,
 )
-from miho.identification.loss import Loss, Square
-from miho.identification.residuals import Residuals
+from miho.identification.residuals import Loss, Residuals, Square
 from miho.identification.row_order import row_order
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model, expensive_leaves

@@ -22,9 +22,9 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import independence
 from miho.identification.line_wrapping import wrapped
-from miho.identification.loss import Square
 from miho.identification.refit import refit
 from miho.identification.report import Report, Reporting, report_of, rounding_of
+from miho.identification.residuals import Square
 from miho.quantities import Array
 from miho.units import differ
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.loss import Square
+from miho.identification.residuals import Square
 from miho.identification.stated import reported_space, reported_values, tied_names
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.tied import Tied

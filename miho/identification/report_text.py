@@ -14,10 +14,10 @@ from miho.identification.alternatives import several_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import is_held
 from miho.identification.line_wrapping import with_digits, with_unit, wrapped
-from miho.identification.loss import Square
 from miho.identification.parameters_file import KINDS, interval_kind
 from miho.identification.prior import prior_notes
 from miho.identification.report import rounding_of
+from miho.identification.residuals import Square
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.identification.stated import at_limits, reported_values
 from miho.identification.uncertainty import Linearised

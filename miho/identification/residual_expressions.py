@@ -8,9 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from miho.identification.loss import Loss, Square
 from miho.identification.prior import PriorResiduals
-from miho.identification.residuals import ResidualFormula
+from miho.identification.residuals import Loss, ResidualFormula, Square
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.models.expression import Expression
 from miho.models.symbolic import Symbol, operation, trace

@@ -1,7 +1,8 @@
-"""The residuals of a curve fit, evaluated by the machine of `miho.core` or by NumPy."""
+"""Losses, and the residuals of a curve fit, evaluated by the machine of `miho.core` or by NumPy."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled import kernel_for, taped_loss
-from miho.identification.loss import Loss, Square
 from miho.models.expression import Expression
 from miho.models.model import Model
 from miho.models.traced import TracedExpression, is_formula
@@ -26,6 +26,34 @@ if TYPE_CHECKING:
 
 BLOCK = 50_000
 """Model values per block; the temporaries of one block stay in the cache of one core."""
+
+
+class Loss(ABC):
+    """A loss function rho, as the square of transformed residuals sign(r) sqrt(rho(r)).
+
+    Every method for least squares can minimise the mean square of transformed residuals.
+    """
+
+    @abstractmethod
+    def transform(self, residuals: Array) -> Array:
+        """Residuals of any shape as sign(r) sqrt(rho(r)), in the same unit; may reuse the array."""
+
+    @abstractmethod
+    def influence(self, residuals: Array) -> tuple[Array, Array]:
+        """The influence psi = rho'(r) / 2 and its derivative (Huber, Robust Statistics, 1981)."""
+
+
+@dataclass(frozen=True)
+class Square(Loss):
+    """The squared error rho = r^2, the loss of the paper (Eq. 5), for noise without outliers."""
+
+    def transform(self, residuals: Array) -> Array:
+        """The residuals themselves."""
+        return residuals
+
+    def influence(self, residuals: Array) -> tuple[Array, Array]:
+        """The influence psi = r and its derivative 1."""
+        return residuals, np.ones_like(residuals)
 
 
 class ResidualFormula(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.identification.loss import Loss
+from miho.identification.residuals import Loss
 from miho.quantities import Array
 from miho.validate import positive
 

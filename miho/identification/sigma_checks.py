@@ -6,7 +6,7 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import LARGEST, SMALLEST
-from miho.identification.loss import Square
+from miho.identification.residuals import Square
 from miho.units import differ
 from miho.validate import is_number
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from miho.data import Dataset
 from miho.identification import CurveFit
-from miho.identification.loss import Loss, Square
+from miho.identification.residuals import Loss, Square
 from miho.models.model import Array, DifferencedModel, Model
 from miho.optim import Parameter, Space
 

@@ -11,7 +11,7 @@ import pytest
 from baselines.problems.published_model import FORMS, PublishedModel
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
 from miho.core import machine
-from miho.identification.loss import Loss, Square
+from miho.identification.residuals import Loss, Square
 from miho.identification.robust_loss import Cauchy, Huber
 from miho.models.expression import Expression
 from miho.models.model import DifferencedModel, Model

@@ -10,7 +10,7 @@ import miho
 from miho.core import machine
 from miho.data import Dataset
 from miho.identification import Cauchy, CurveFit, Huber
-from miho.identification.loss import Loss, Square
+from miho.identification.residuals import Loss, Square
 from miho.models import FunctionModel
 from miho.optim import Parameter, Space
 

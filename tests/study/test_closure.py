@@ -71,7 +71,7 @@ def test_code_that_a_run_does_not_use_may_change(
 
 @pytest.mark.parametrize(
     "place",
-    ["optim/oracle.py", "optim/space.py", "compiled/taped.py", "identification/loss.py",
+    ["optim/oracle.py", "optim/space.py", "compiled/taped.py", "identification/residuals.py",
      "compiled/fit.py", "core/elementary.h", "vehicle/models/tire.py", "methods/descent.py",
      "data/dataset.py"],
 )  # fmt: skip
