@@ -26,9 +26,8 @@ from experiments.app.build import ConfigError
 from experiments.app.instantiation import MissingLibraryError
 from experiments.app.mirror import MISSING, Tracker, TrackerError, digest_of, message_of
 from miho.study import StoredRun
-from miho.study.identity import sha256
+from miho.study.identity import inside, sha256
 from miho.study.index import error_of
-from miho.study.places import inside
 from miho.study.provenance import flattened
 
 PLACE = ".mlflow"

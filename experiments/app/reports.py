@@ -35,9 +35,9 @@ from miho.identification.stated import marked
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of
 from miho.study import StoredRun, load_runs, read_run
+from miho.study.identity import inside
 from miho.study.index import without_runs
 from miho.study.manifest import missing_runs
-from miho.study.places import inside
 
 NO_INTERVALS = "Intervals were not computed; without --quick, they are on a separate page."
 

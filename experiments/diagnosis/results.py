@@ -26,8 +26,8 @@ from miho.study.files import (
     decoded,
     read_bytes,
 )
+from miho.study.identity import below
 from miho.study.manifest import first_names, missing_runs
-from miho.study.places import below
 
 QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")

@@ -26,8 +26,7 @@ from miho.study.files import (
     read_bytes,
     write_text,
 )
-from miho.study.identity import Identity, canonical, sha256
-from miho.study.places import inside
+from miho.study.identity import Identity, canonical, inside, sha256
 from miho.study.store import SUPERSEDED, Store, read_run
 
 MANIFESTS = ".sweeps"

@@ -39,8 +39,7 @@ from miho.study.files import (
     write_bytes,
     write_text,
 )
-from miho.study.identity import REQUEST, Identity, canonical, sha256
-from miho.study.places import inside
+from miho.study.identity import REQUEST, Identity, canonical, inside, sha256
 from miho.study.redaction import redacted
 
 FILES = (CONFIG, ENVIRONMENT, CURVE, RESULT, PARTIAL)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from miho.study import Identity
-from miho.study.places import check_name, inside
+from miho.study.identity import check_name, inside
 
 GOOD = ["a", "0", "_x", "miho", "pacejka-tire_lf", "v1.2", "a" * 100, "console", "com10", "nulls"]
 BAD = [

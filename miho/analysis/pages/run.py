@@ -34,7 +34,7 @@ from miho.models.identified import parameters_text
 from miho.models.joint import rows_of_parts
 from miho.models.layout import OUTPUT, PART
 from miho.study import StoredRun, write_bytes, write_text
-from miho.study.places import inside
+from miho.study.identity import inside
 from miho.study.provenance import flattened, provenance
 
 PARAMETERS = "parameters.json"
