@@ -40,7 +40,7 @@ from miho.optim.oracle import Oracle
 from miho.quantities import Array
 
 if TYPE_CHECKING:
-    from miho.parallel.pending import Ahead
+    from miho.parallel.rows import Ahead
 
 Need = tuple[int, Array]
 """A candidate and the configuration (d,) at which it needs an evaluation."""

@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     )
     from miho.parallel.evaluations import Evaluations
     from miho.parallel.journal import Journal, calls_of
-    from miho.parallel.pending import Ahead
     from miho.parallel.pool import Pool, Workers, open_pool
-    from miho.parallel.rows import Evaluated
+    from miho.parallel.rows import Ahead, Evaluated
 
 __all__ = [
     "Ahead",

@@ -18,11 +18,10 @@ import numpy as np
 from miho.parallel.errors import NoWorkersLeft
 from miho.parallel.journal import Journal, Key
 from miho.parallel.journal_check import JournalCheck
-from miho.parallel.pending import Ahead, Pending
 from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import HungError, OverdueError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
-from miho.parallel.rows import ByRows, Evaluated, Rows, Send, as_array
+from miho.parallel.rows import Ahead, ByRows, Evaluated, Pending, Rows, Send, as_array
 from miho.parallel.usage import Usage, Worth
 from miho.parallel.worth import is_expensive
 from miho.quantities import Array

@@ -1,8 +1,13 @@
-"""Functions of parameter rows: a row that raises does not affect the other rows."""
+"""Functions of parameter rows, and their values in progress.
+
+A row that raises does not affect the other rows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -14,6 +19,7 @@ from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.parallel.evaluations import Evaluations
+    from miho.parallel.journal import Key
 
 Rows = Callable[[Array], Array]
 """Maps parameter rows (n, d) to values (n, ...); the value of a row does not depend on other
@@ -79,3 +85,50 @@ class Evaluated:
         if self.evaluations.resting():
             return self.evaluations.worth.brief(self.function, thetas)
         return self.evaluations.values(self, thetas)
+
+
+@dataclass
+class Ahead:
+    """Values that were requested before they are needed (futures).
+
+    Attributes
+    ----------
+    keys : sequence of Key
+        The values.
+    again : callable
+        Requests the values again.
+    begun : bool
+        Whether workers have begun them, because that is known to save time.
+    left : list of Key
+        Values that may not be complete yet.
+    latest : float
+        Position of the last complete value in the order of completion.
+    """
+
+    keys: Sequence[Key]
+    again: Callable[[], object]
+    begun: bool = True
+    left: list[Key] = field(init=False)
+    latest: float = field(init=False, default=-1.0)
+
+    def __post_init__(self) -> None:
+        self.left = list(self.keys)
+
+    def __add__(self, other: Ahead) -> Ahead:
+        """The values of both."""
+
+        def again() -> None:
+            self.again()
+            other.again()
+
+        return Ahead([*self.keys, *other.keys], again, self.begun and other.begun)
+
+
+@dataclass
+class Pending:
+    """A chunk of rows that a worker evaluates; `ended` is its place in the order of completion."""
+
+    future: Future[Answer]
+    keys: Sequence[Key]
+    ended: float = math.inf
+    begun: float = field(default_factory=time.monotonic)
