@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from miho.vehicle.driving.compiling import part
-from miho.vehicle.driving.plant_parameters import record_of
+from miho.vehicle.driving.compiling import part, record_of
 from miho.vehicle.models.magic_formula import MagicFormula
+
+Tires = tuple[MagicFormula, MagicFormula, MagicFormula, MagicFormula]
+"""Tires front left, front right, rear left, rear right, never mirrored."""
 
 
 def wheel_tire(tire: MagicFormula, gamma: float = 0.0, pressure: float | None = None) -> Any:

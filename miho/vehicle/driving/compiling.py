@@ -8,11 +8,14 @@ files with compiled code.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, wraps
+from numbers import Real
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar, cast
+
+import numpy as np
 
 import miho.quantities
 
@@ -43,6 +46,13 @@ def part(function: Function) -> Function:
     """Decorate a function that compiled functions may call; Python calls run uncompiled."""
     _parts.append(function)
     return function
+
+
+def record_of(numbers: Mapping[str, Any]) -> Any:
+    """Return a record with the numbers among the values of a mapping, in its order."""
+    values = {name: v for name, v in numbers.items() if isinstance(v, Real)}
+    dtype = np.dtype([(name, np.float64) for name in values])
+    return np.array(tuple(values.values()), dtype=dtype)[()]
 
 
 _compiled: dict[Callable[..., Any], Any] = {}

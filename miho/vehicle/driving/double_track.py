@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from miho.quantities import Array
+from miho.vehicle.driving.compiled_tire import Tires
 from miho.vehicle.driving.compiling import compiled, part
 from miho.vehicle.driving.dynamics import (
     CHI,
@@ -28,7 +29,6 @@ from miho.vehicle.driving.dynamics import (
     loads_of,
 )
 from miho.vehicle.driving.plant import Command, Motion, Plant, steps_of
-from miho.vehicle.driving.plant_parameters import Tires
 from miho.vehicle.driving.powertrain import engine_speed
 from miho.vehicle.driving.road import PLANE, Road, place_at, shape_at
 from miho.vehicle.driving.vehicle import Vehicle

@@ -24,13 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from miho.quantities import Array, g
-from miho.vehicle.driving.compiled_tire import wheel_forces, wheel_tire
-from miho.vehicle.driving.compiling import part
+from miho.vehicle.driving.compiled_tire import Tires, wheel_forces, wheel_tire
+from miho.vehicle.driving.compiling import part, record_of
 from miho.vehicle.driving.load_transfer import LoadTransfer, wheel_loads
-from miho.vehicle.driving.plant_parameters import Engine, Tires, engine_of, record_of
 from miho.vehicle.driving.powertrain import (
+    Engine,
     against,
     braking_torques,
+    engine_of,
     engine_speed,
     pressure_rate,
     rear_accelerations,

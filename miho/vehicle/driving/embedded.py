@@ -10,8 +10,8 @@ import numpy as np
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.data.synthetic_engine import true_torque
 from miho.vehicle.data.tir_sampling import embedded_tire
+from miho.vehicle.driving.compiled_tire import Tires
 from miho.vehicle.driving.double_track import DoubleTrack
-from miho.vehicle.driving.plant_parameters import Tires
 from miho.vehicle.driving.road import PLANE, Road
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.engine import RPM

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.quantities import Array
+from miho.vehicle.driving.compiled_tire import Tires
 from miho.vehicle.driving.grip import LOADS, Grip
 from miho.vehicle.driving.load_transfer import LoadTransfer
 from miho.vehicle.driving.loaded_axle import LoadedAxle
@@ -19,7 +20,6 @@ from miho.vehicle.driving.path_tracking import (
     SteeringActuator,
     Weights,
 )
-from miho.vehicle.driving.plant_parameters import Tires
 from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.speed_control import SpeedController, SpeedSettings
 from miho.vehicle.driving.steering_control import AxleSlip, SteeringController

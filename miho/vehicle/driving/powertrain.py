@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from miho.quantities import Array
 from miho.vehicle.driving.compiling import part
-from miho.vehicle.driving.plant_parameters import Engine
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.brake import Brake
+from miho.vehicle.models.engine_map import EngineMap
 
 CUT = 20.0
 """Range above the largest engine speed over which the limiter closes the throttle [rad/s]."""
 STICTION = 1.0
 """Wheel speed [rad/s] below which braking torques fade, so that the wheel comes to rest."""
+
+
+class Engine(NamedTuple):
+    """Engine with names and units of `EngineMap`; ratios are engine turns per wheel turn [-]."""
+
+    openings: Array
+    speeds: Array
+    table: Array
+    ratios: Array
+
+
+def engine_of(vehicle: Vehicle, engine: EngineMap) -> Engine:
+    """Return an engine with the gears of a vehicle."""
+    ratios = np.array(vehicle.gear_ratios, dtype=float) * vehicle.final_drive
+    return Engine(engine.openings.copy(), engine.speeds.copy(), engine.table.copy(), ratios)
 
 
 @part

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from miho.validate import settings_at_least
-from miho.vehicle.driving.compiling import compiled
-from miho.vehicle.driving.plant_parameters import Engine, engine_of, record_of
-from miho.vehicle.driving.powertrain import cell
+from miho.vehicle.driving.compiling import compiled, record_of
+from miho.vehicle.driving.powertrain import Engine, cell, engine_of
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.brake import Brake
 from miho.vehicle.models.engine import RPM

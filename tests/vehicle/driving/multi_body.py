@@ -21,8 +21,7 @@ import numpy as np
 
 from miho.quantities import Array
 from miho.vehicle.driving.plant import Command, Motion, Plant, steps_of
-from miho.vehicle.driving.plant_parameters import engine_of
-from miho.vehicle.driving.powertrain import map_torque
+from miho.vehicle.driving.powertrain import engine_of, map_torque
 from miho.vehicle.driving.road import PLANE, Road, place_at
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.axle import Axle

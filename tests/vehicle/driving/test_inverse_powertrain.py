@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from miho.vehicle.driving.plant_parameters import engine_of, record_of
+from miho.vehicle.driving.compiling import record_of
+from miho.vehicle.driving.powertrain import engine_of
 from miho.vehicle.driving.speed_control import effort
 from tests.vehicle.driving.cars import car
 

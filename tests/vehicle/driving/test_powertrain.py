@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from miho.vehicle.driving.plant import Command
-from miho.vehicle.driving.plant_parameters import engine_of
-from miho.vehicle.driving.powertrain import braking_torques, map_torque
+from miho.vehicle.driving.powertrain import braking_torques, engine_of, map_torque
 from miho.vehicle.models import BrakeResponse
 from tests.vehicle.driving.plants import driven, plant, symmetric
 
