@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from miho.vehicle.models.single_track_motion import single_track_drive, single_track_response
     from miho.vehicle.models.tir import load_tir, write_tir
     from miho.vehicle.models.tir_reader import TirError
-    from miho.vehicle.models.tire import Pacejka, PacejkaCurvature
+    from miho.vehicle.models.tire import Pacejka, PacejkaCurvature, PacejkaLandmarks
     from miho.vehicle.models.tire_formula import TireFormula
-    from miho.vehicle.models.tire_landmarks import PacejkaLandmarks
 
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",

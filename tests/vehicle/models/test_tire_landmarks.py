@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 from miho.testing import check_model
 from miho.vehicle.models import PacejkaCurvature, PacejkaLandmarks
-from miho.vehicle.models.tire_landmarks import factors
+from miho.vehicle.models.tire import factors
 
 K, D, Y_A, X_M, SX, SY = THETA = np.array([9.0e4, 4500.0, 3500.0, 0.09, 0.003, 100.0])
 MODEL = PacejkaLandmarks()
