@@ -22,6 +22,7 @@ from hydra.utils import instantiate
 from experiments import identify
 from experiments.app import launch
 from experiments.app.compose import CONF
+from experiments.app.explain import replace_spaces
 from experiments.app.options import options_of
 from experiments.app.schema import register
 from miho import load_runs
@@ -281,6 +282,11 @@ def test_a_setting_of_swept_options_is_not_for_the_default_option(typed: Typed) 
     ended = typed(*sweep, tiny=False)
     assert ended.code == 0, ended.err
     assert "2 runs: 2 ran" in ended.out
+
+
+def test_null_and_quoted_texts_hold_in_a_sweep_over_options() -> None:
+    fixed = ["problem.sigma=null", 'dataset.path="Schräglauf, 1.csv"', "model.path='5'"]
+    assert replace_spaces(["optimizer=pso_100,pso_500", *fixed])[1:] == fixed
 
 
 def test_a_sweep_over_roots_stores_a_run_in_each(typed: Typed, tmp_path: Path) -> None:

@@ -147,7 +147,10 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
 
 
 def _is_plain(override: Override) -> bool:
-    return override.type is OverrideType.CHANGE and not override.is_sweep_override()
+    """Whether a value may be a choice, which cannot be null and loses the quotes of a text."""
+    changes = override.type is OverrideType.CHANGE and not override.is_sweep_override()
+    quoted = (override.input_line or "").partition("=")[2].startswith(("'", '"'))
+    return changes and not quoted and override.value() is not None
 
 
 def _unreadable(text: str) -> str:
