@@ -199,6 +199,7 @@ def test_the_record_of_a_sweep_in_its_root_has_the_sweeper(typed: Typed, tmp_pat
 def test_the_same_sweep_again_runs_nothing_and_a_larger_one_what_is_missing(typed: Typed) -> None:
     assert "2 runs: 2 ran" in typed("-m", "seed=1,2").out
     assert "3 runs: 1 ran, 2 done before" in typed("-m", "seed=3,2,1").out
+    assert typed("-m", "seed=3,2,1").out.count("(done before)") == 3
     assert len(load_runs(typed("-m", "seed=1,1").root).runs) == 3
 
 

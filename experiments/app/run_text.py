@@ -39,7 +39,8 @@ ENDINGS = {
 def print_summary(states: Sequence[State]) -> int:
     """Print a summary of the runs of a sweep; return the exit code of the command."""
     if all(state.status in (Status.TO_DO, Status.DONE_BEFORE) for state in states):
-        print("\n".join(state.line for state in states if state.line))
+        for line in filter(None, (state.line for state in states)):
+            print(line)
     _print_errors(states)
     bad = [state for state in states if state.reason is not None]
     _print_reasons(bad)

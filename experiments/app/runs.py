@@ -147,7 +147,8 @@ def _do(
         todo: list[Request] = []
         executed = _run_here(todo) if in_process else _run_in_workers(todo, settings, at_once)
         for state in chain(_stored_states(plan, todo), executed):
-            states.append(state)
+            done = state.status is Status.DONE_BEFORE and bar.is_log
+            states.append(replace(state, line="") if done else state)  # for the summary
             bar.show(state)
             if in_process and state.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
@@ -287,6 +288,11 @@ class Progress:
     counts: Counter[Status] = field(default_factory=Counter)
     best: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def is_log(self) -> bool:
+        """Whether each run has a line, because there is no terminal."""
+        return self.bar is not None and bool(self.bar.disable)
+
     def show(self, state: State) -> None:
         """Count one run and show the progress of the sweep."""
         if self.bar is None:
@@ -296,7 +302,7 @@ class Progress:
         if state.error is not None:
             self.best[problem] = min(state.error, self.best.get(problem, float("inf")))
         bad = self.counts[Status.FAILED] + self.counts[Status.LOST]
-        if self.bar.disable:
+        if self.is_log:
             print(f"[{self.counts.total()}/{self.total}] {state.line}", flush=True)
             return
         self.bar.update()
