@@ -22,7 +22,7 @@ from hydra.utils import instantiate
 from experiments import identify
 from experiments.app import launch
 from experiments.app.compose import CONF
-from experiments.app.explain import replace_spaces
+from experiments.app.explain import ConfigError, check_choices, replace_spaces
 from experiments.app.options import options_of
 from experiments.app.schema import register
 from miho import load_runs
@@ -283,6 +283,12 @@ def test_a_setting_of_swept_options_is_not_for_the_default_option(typed: Typed) 
     ended = typed(*sweep, tiny=False)
     assert ended.code == 0, ended.err
     assert "2 runs: 2 ran" in ended.out
+
+
+def test_a_list_of_experiments_is_merged() -> None:
+    check_choices(["experiment=[compare,torque_gap]"])
+    with pytest.raises(ConfigError, match="is a list; choose one option"):
+        check_choices(["dataset=[tire_lf,tire_rf]"])
 
 
 def test_null_and_quoted_texts_hold_in_a_sweep_over_options() -> None:

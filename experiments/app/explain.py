@@ -90,10 +90,13 @@ def check_choices(texts: Sequence[str]) -> None:
             value = next((item for item in value.list if isinstance(item, list)), "")
         if override.is_delete() or not isinstance(value, int | float | list | None):
             continue
-        if isinstance(value, list) and key != "experiment" and options_of(key):
-            names = ",".join(map(str, value))
-            raise ConfigError(f"{text}: is a list; choose one option, or sweep: -m {key}={names}")
         options = options_of(key)
+        if isinstance(value, list):
+            if options and key != "experiment":
+                names = ",".join(map(str, value))
+                choose = f"choose one option, or sweep: -m {key}={names}"
+                raise ConfigError(f"{text}: is a list; {choose}")
+            continue
         if options and value is None:
             raise ConfigError(f"{key}=null: is not an option; ~{key} removes the group")
         if options:
