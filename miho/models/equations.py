@@ -168,18 +168,20 @@ class Equations:
         self, function: Callable[..., Sequence[Any]], t: float, u: Array, x: Array, p: Array
     ) -> tuple[Array, Array]:
         at = np.concatenate([x, p])
-        step = ROOT * np.where(at == 0, ROOT * (np.abs(x).max() or 1.0), np.abs(at))
-
-        def ends() -> list[Array]:
+        size = float(np.abs(x).max()) or 1.0
+        step = ROOT * np.where(at == 0, ROOT * size, np.abs(at))
+        slopes, lost = np.zeros((1, at.size)), np.ones((1, at.size), dtype=bool)
+        # A number near 0 gives no scale for its step: results that it leaves as they are, up to
+        # rounding, have a wider step, first in the scale of the states.
+        for least in (0.0, ROOT * min(size, ROOT), ROOT**2):
+            wide = np.maximum(step, least)
+            if least and not lost[:, wide > step].any():
+                continue
+            step = wide
             moved = np.hstack([at[:, None] + np.diag(step), at[:, None] - np.diag(step)])
-            return np.hsplit(self._called(function, t, u, *np.split(moved, [x.size])), 2)
-
-        high, low = ends()
-        lost = (np.abs(high - low) <= VISIBLE * np.abs(high)).all(axis=0) & (step < ROOT**2)
-        if lost.any():  # a number near 0 gives no scale for its step
-            step[lost] = ROOT**2
-            high, low = ends()
-        slopes = (high - low) / (2 * step)
+            high, low = np.hsplit(self._called(function, t, u, *np.split(moved, [x.size])), 2)
+            slopes = np.where(lost, (high - low) / (2 * step), slopes)
+            lost = lost & (np.abs(high - low) <= VISIBLE * np.abs(high))
         return slopes[:, : x.size], slopes[:, x.size :]
 
     @cached_property

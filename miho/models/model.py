@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 ROOT = float(np.cbrt(np.finfo(float).eps))
 """Relative step of central differences, with an error near 1e-10 for smooth functions."""
 SMALLEST = 1e-12
+VANISHED = 1e-140
+"""A parameter nearer to 0 counts as 0: steps in its scale would underflow."""
 Predict = Callable[..., Array]
 """Outputs (n, N) of parameter rows (n, d) and input columns."""
 VISIBLE = 1e-9
@@ -256,7 +258,7 @@ def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array
     the other side only, with an error near 1e-5. A parameter near 0 gives no scale for its step;
     the step grows until the output changes by more than rounding errors.
     """
-    step = ROOT * np.where(theta == 0, SMALLEST, np.abs(theta))
+    step = ROOT * np.where(np.abs(theta) < VANISHED, SMALLEST, np.abs(theta))
     derivatives = np.zeros((inputs[0].size, theta.size))
     todo = np.arange(theta.size)
     while todo.size:

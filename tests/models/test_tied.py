@@ -141,3 +141,10 @@ def test_a_quantity_that_the_model_does_not_have_is_told_of_as_well() -> None:
     assert row["unit"] == "N/rad"
     spread = np.sqrt(gradient @ plain.uncertainty.covariance @ gradient)
     assert row["standard_error"] == pytest.approx(spread, rel=1e-3)
+
+
+@pytest.mark.parametrize("theta", [0.0, 5e-324, 1e-200, 1e-17])
+def test_a_vanishing_parameter_has_differences(theta: float) -> None:
+    """Steps in the scale of the smallest floats would be 0."""
+    slope = central_differences(lambda rows, x: rows + 1.0 + 0 * x, np.array([theta]), np.ones(3))
+    np.testing.assert_allclose(slope, np.ones((3, 1)), rtol=1e-6)

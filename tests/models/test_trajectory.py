@@ -125,6 +125,21 @@ def test_a_branching_right_hand_side_has_derivatives_at_any_scale() -> None:
     np.testing.assert_allclose(by_differences, exact, rtol=1e-6, atol=1e-9 * np.abs(exact).max())
 
 
+def test_a_vanishing_state_has_slopes_in_rates_that_hardly_see_it() -> None:
+    def traced(a: Any, b: Any, *, k: Any) -> Any:
+        return -k * a, 1.0 + k * a - b
+
+    def branching(a: Any, b: Any, *, k: Any) -> Any:
+        return traced(a, b, k=k) if a < 1e300 else (0.0, 0.0)
+
+    theta, t = np.array([2.0, 1e-17]), np.linspace(0.0, 4.0, 21)
+    start = {"a": "identified", "b": 1.0}
+    exact, by_differences = (
+        Trajectory(rhs, start, ["b"]).jacobian(theta, t) for rhs in (traced, branching)
+    )
+    np.testing.assert_allclose(by_differences, exact, rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.slow
 def test_a_motor_that_is_driven_is_its_closed_form() -> None:
     """RK4 at a third of a millisecond."""
