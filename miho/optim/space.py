@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
+ROUNDING = 1e-12
+"""A fixed value outside of a bound by this fraction of it is at the bound."""
 COMMON = 30
 """Number of common initial configurations that are drawn once."""
 SEEDED = ("seed", "free", "_common")
@@ -137,7 +139,11 @@ class Parameter:
         ends = f"low is {self.low!r} and high is {self.high!r}"
         if not self.low <= self.high:
             raise ValueError(f"{label}: {ends}; expected low <= high")
-        if self.fixed is not None and not self.low <= self.fixed <= self.high:
+        if self.fixed is None or self.low <= self.fixed <= self.high:
+            return
+        end = min(max(self.fixed, self.low), self.high)
+        size = max(x for x in (abs(end), abs(self.low), abs(self.high)) if x < math.inf)
+        if abs(self.fixed - end) > ROUNDING * size:
             raise ValueError(f"{label}: fixed is {self.fixed!r}, but {ends}; correct one of them")
 
     @property

@@ -58,6 +58,13 @@ def test_defaults_follow_from_the_range() -> None:
     assert space.sample(50_000, stream("t")).mean() == pytest.approx(4.0, abs=0.05)
 
 
+def test_a_fixed_value_may_leave_its_bounds_by_rounding() -> None:
+    assert Parameter("k", "", 0.0, 0.3, fixed=0.1 + 0.2).fixed == 0.1 + 0.2
+    assert Parameter("k", "", low=0.0, fixed=3.0).fixed == 3.0
+    with pytest.raises(ValueError, match="fixed is -1e-09"):
+        Parameter("k", "", low=0.0, fixed=-1e-9)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
