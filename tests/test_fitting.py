@@ -155,6 +155,17 @@ def test_a_descent_from_a_start_reaches_the_optimum_in_any_unit(
     assert errors.to_numpy() == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
 
 
+def test_a_descent_leaves_a_bound_with_an_infinite_slope() -> None:
+    x = np.linspace(0.1, 5.0, 60)
+
+    def rising(x, a, b):
+        return a**2 * x + np.sqrt(b) * x**2
+
+    bounds = {"a": (0, 1e6), "b": (0, 1e6)}
+    fit = miho.fit(rising, x, rising(x, 2.0, 2.0), bounds, start={"a": 9.98, "b": 4.85})
+    assert fit.theta == pytest.approx([2.0, 2.0])
+
+
 @pytest.mark.parametrize("formula", [True, False])
 def test_a_start_may_be_far_from_a_tiny_optimum(formula: bool) -> None:
     def straight(x, a, b):

@@ -213,7 +213,8 @@ class _Objective:
         output = output if problem.weights is None else output * problem.weights
         size = max(np.linalg.norm(output), np.linalg.norm(residuals))
         effect = np.linalg.norm(slopes, axis=0)
-        wide = effect > FINE * size
+        inside = (self.first > 0) & (self.first < 1)  # as at sqrt(0), slopes may be infinite there
+        wide = inside & (effect > FINE * size)
         factor = np.where(wide, size / effect, 1.0)
         self.first = np.where(wide, 1.0, self.first)
         self._at_origin, self._unit = self._at_origin.copy(), self._unit.copy()
