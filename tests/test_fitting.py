@@ -155,6 +155,20 @@ def test_a_descent_from_a_start_reaches_the_optimum_in_any_unit(
     assert errors.to_numpy() == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
 
 
+def test_descents_from_rough_starts_reach_the_optimum_of_two_decays() -> None:
+    """Errors from 0.01 to 10; ranges are a million times the start."""
+    x = np.linspace(0.1, 5.0, 60)
+
+    def decays(x, a, b, c, d):
+        return a * np.exp(-b * x) + c * np.exp(-d * x) if a < 1e300 else x
+
+    truth, rng = np.array([2.0, 0.3, 1.0, 3.0]), np.random.default_rng(1)
+    for _ in range(8):
+        start = dict(zip("abcd", truth * 10 ** rng.uniform(-1.5, 1.5, 4), strict=True))
+        fit = miho.fit(decays, x, decays(x, *truth), start=start, sigma=np.linspace(0.01, 10, 60))
+        assert fit.error < 1e-5
+
+
 def test_a_descent_leaves_a_bound_with_an_infinite_slope() -> None:
     x = np.linspace(0.1, 5.0, 60)
 

@@ -73,6 +73,7 @@ def refit(
     evaluations: int = EVALUATIONS,
     deadline: Deadline | None = None,
     pin: Pin | None = None,
+    fine: bool = False,
 ) -> Refit:
     """Descend to the optimum of a problem near a start, within the box.
 
@@ -94,6 +95,9 @@ def refit(
         The time limit.
     pin : Pin, optional
         A residual that fixes a tied parameter.
+    fine : bool, optional
+        Scale parameters in wide ranges by their effect. A descent in the scale of the ranges comes
+        first: from a rough start, it finds better optima.
 
     Returns
     -------
@@ -122,7 +126,7 @@ def refit(
         if at_optimum(start_slopes, start_values, objective.first):
             return objective.end(converged=True)
         with np.errstate(all="ignore"):  # SciPy divides by 0 for a parameter without an effect
-            start_slopes = objective.rescaled(start_slopes, start_values)
+            start_slopes = objective.rescaled(start_slopes, start_values, fine)
             solution = scipy.optimize.least_squares(
                 residuals, objective.first, jac=jacobian, bounds=objective.bounds, x_scale="jac",
                 ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=evaluations,
@@ -137,9 +141,9 @@ def refit(
     except (_NoDerivatives, OutOfTimeError):
         converged = False
     end, left = objective.end(bool(converged)), evaluations - len(objective.costs) + 1
-    if left > 0 and objective.is_rescaled and end.cost < objective.costs[1] / FINE**2:
-        # The scale of the start is too coarse here.
-        again = refit(problem, end.theta, weights, fixed, tolerance, left, deadline, pin)
+    coarse = not fine or end.cost < objective.costs[1] / FINE**2
+    if left > 0 and objective.is_wide and coarse:  # the scale of the start is too coarse here
+        again = refit(problem, end.theta, weights, fixed, tolerance, left, deadline, pin, fine=True)
         return again._replace(evaluations=evaluations - left + again.evaluations)
     return end
 
@@ -196,17 +200,13 @@ class _Objective:
         share = (space.encode(self._start) - self._low) / self._unit
         self.first = np.clip(share[self._free], 0.0, 1.0)
         self.costs = [math.inf]
+        self.is_wide = False
 
-    @property
-    def is_rescaled(self) -> bool:
-        """Whether the range of a parameter is too wide as a scale."""
-        return bool(self._at_origin.any())
-
-    def rescaled(self, slopes: Array, residuals: Array) -> Array:
+    def rescaled(self, slopes: Array, residuals: Array, fine: bool) -> Array:
         """Scale parameters in too wide a range by their effect at the start.
 
         Slopes (N, f) and residuals (N,) are those of the start; the result has slopes in the new
-        scale.
+        scale. Without `fine`, this only notes whether a range is too wide (`is_wide`).
         """
         problem, free = self._problem, self._free
         output = problem.dataset[problem.dataset.output]
@@ -215,6 +215,9 @@ class _Objective:
         effect = np.linalg.norm(slopes, axis=0)
         inside = (self.first > 0) & (self.first < 1)  # as at sqrt(0), slopes may be infinite there
         wide = inside & (effect > FINE * size)
+        self.is_wide = bool(wide.any())
+        if not (fine and self.is_wide):
+            return slopes
         factor = np.where(wide, size / effect, 1.0)
         self.first = np.where(wide, 1.0, self.first)
         self._at_origin, self._unit = self._at_origin.copy(), self._unit.copy()
