@@ -824,6 +824,11 @@ def test_an_error_far_below_the_offset_is_shown_and_is_not_rounding() -> None:
         assert shown == pytest.approx([value, error, low, high], rel=1e-15, abs=error / 20)
 
 
+def test_no_more_digits_are_printed_than_a_double_has() -> None:
+    table = pd.DataFrame({"value": [0.3, 1e300], "error": [1e-30, 1e-300]})
+    assert list(with_digits(table, "error")["value"]) == ["0.29999999999999999", f"{1e300:.17g}"]
+
+
 def test_doses_of_several_decades_have_a_logarithmic_axis() -> None:
     """On a linear axis half of the rows would be within 1 % of its length."""
     dose = np.geomspace(1e-9, 1e-4, 21)

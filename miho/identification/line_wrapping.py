@@ -51,7 +51,7 @@ def with_digits(table: pd.DataFrame, error: str) -> pd.DataFrame:
         table = table.astype(object)
     for row in table.index[lost]:
         value: Any = table.at[row, "value"]
-        digits = 3 + int(math.log10(abs(value) / table.at[row, error]))
+        digits = min(17, 3 + int(math.log10(abs(value)) - math.log10(table.at[row, error])))
         for column in table.columns[table.columns.str.contains("value|low|high")]:
             number: Any = table.at[row, column]
             if math.isfinite(number):
