@@ -22,6 +22,7 @@ from scipy.optimize import curve_fit, least_squares
 import miho
 from miho.compiled.kernel import Formula
 from miho.core import machine
+from miho.identification.line_wrapping import with_digits
 from miho.models import Trajectory
 from miho.vehicle.data import embedded_tire
 from miho.vehicle.models import Pacejka, PacejkaCurvature, TireFormula

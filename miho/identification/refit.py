@@ -23,7 +23,6 @@ STANDSTILL = 1e-8
 squares."""
 FINE = 1e5
 """A range is too wide as a scale if it changes the predictions by this multiple of the output."""
-
 AT_BOUND = 1e-10
 """A parameter is at a bound if it is this close, as a fraction of its range: the range of a
 parameter without bounds is a million times its start."""
@@ -96,8 +95,7 @@ def refit(
     pin : Pin, optional
         A residual that fixes a tied parameter.
     fine : bool, optional
-        Scale parameters in wide ranges by their effect. A descent in the scale of the ranges comes
-        first: from a rough start, it finds better optima.
+        Scale parameters in wide ranges by their effect: last, as optima from rough starts are worse.
 
     Returns
     -------

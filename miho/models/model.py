@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 ROOT = float(np.cbrt(np.finfo(float).eps))
 """Relative step of central differences, with an error near 1e-10 for smooth functions."""
-SMALLEST = 1e-12
-VANISHED = 1e-140
-"""A parameter nearer to 0 counts as 0: steps in its scale would underflow."""
+SMALLEST, VANISHED = 1e-12, 1e-140  # nearer to 0, steps in the scale of a parameter underflow
 Predict = Callable[..., Array]
 """Outputs (n, N) of parameter rows (n, d) and input columns."""
 VISIBLE = 1e-9

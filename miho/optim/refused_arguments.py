@@ -14,6 +14,10 @@ FARTHEST = 3.0
 """Largest distance of a prior's mean outside the bounds, in its standard deviations."""
 
 
+ROUNDING = 1e-12
+"""A fixed value is at a bound if it is outside by this fraction of the largest of both bounds."""
+
+
 def checked_prior(parameter: Parameter, label: str) -> tuple[float, float]:
     """The prior of a parameter as two numbers; raises ValueError for other ones."""
     stated = f"{label}: prior is {parameter.prior!r}"
@@ -38,6 +42,17 @@ def checked_prior(parameter: Parameter, label: str) -> tuple[float, float]:
             f"{parameter.high:g}; correct one of them"
         )
     return mean, std
+
+
+def check_ends(parameter: Parameter, label: str) -> None:
+    """Raise ValueError if bounds are in the wrong order, or a fixed value is far outside them."""
+    low, high, fixed = parameter.low, parameter.high, parameter.fixed
+    ends = f"low is {low!r} and high is {high!r}"
+    if not low <= high:
+        raise ValueError(f"{label}: {ends}; expected low <= high")
+    slack = ROUNDING * max(abs(end) for end in (fixed or 0.0, low, high) if math.isfinite(end))
+    if fixed is not None and abs(fixed - min(max(fixed, low), high)) > slack:
+        raise ValueError(f"{label}: fixed is {fixed!r}, but {ends}; correct one of them")
 
 
 def check_budget(budget: object) -> None:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
-ROUNDING = 1e-12
-"""A fixed value outside of a bound by this fraction of it is at the bound."""
 COMMON = 30
 """Number of common initial configurations that are drawn once."""
 SEEDED = ("seed", "free", "_common")
@@ -136,15 +134,10 @@ class Parameter:
             )
         if self.fixed is not None and not math.isfinite(self.fixed):
             raise ValueError(f"{label}: fixed is {self.fixed!r}; expected a finite number")
-        ends = f"low is {self.low!r} and high is {self.high!r}"
-        if not self.low <= self.high:
-            raise ValueError(f"{label}: {ends}; expected low <= high")
-        if self.fixed is None or self.low <= self.fixed <= self.high:
-            return
-        end = min(max(self.fixed, self.low), self.high)
-        size = max(x for x in (abs(end), abs(self.low), abs(self.high)) if x < math.inf)
-        if abs(self.fixed - end) > ROUNDING * size:
-            raise ValueError(f"{label}: fixed is {self.fixed!r}, but {ends}; correct one of them")
+        if not self.low <= (self.low if self.fixed is None else self.fixed) <= self.high:
+            from miho.optim.refused_arguments import check_ends
+
+            check_ends(self, label)
 
     @property
     def largest_sigma(self) -> float:
