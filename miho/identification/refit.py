@@ -95,7 +95,7 @@ def refit(
     pin : Pin, optional
         A residual that fixes a tied parameter.
     fine : bool, optional
-        Scale parameters in wide ranges by their effect: last, as optima from rough starts are worse.
+        Scale parameters in wide ranges by their effect: last, as it misses far optima.
 
     Returns
     -------
