@@ -51,7 +51,8 @@ def with_digits(table: pd.DataFrame, error: str) -> pd.DataFrame:
         table = table.astype(object)
     for row in table.index[lost]:
         value: Any = table.at[row, "value"]
-        digits = min(17, 3 + int(math.log10(abs(value)) - math.log10(table.at[row, error])))
+        spread: Any = table.at[row, error]
+        digits = min(17, 3 + int(math.log10(abs(value)) - math.log10(spread)))
         for column in table.columns[table.columns.str.contains("value|low|high")]:
             number: Any = table.at[row, column]
             if math.isfinite(number):
