@@ -245,8 +245,9 @@ class _Objective:
         near[self._fixed] = False
         theta = np.where(near, np.where(shares < 0.5, space.low, space.high), self.best)
         if not np.array_equal(theta, self.best):
-            r = self._residuals_at(theta)
-            if r @ r <= (1 + ROUNDING) * self.costs[-1]:
+            with np.errstate(over="ignore"):
+                cost = float(np.sum(self._residuals_at(theta) ** 2))
+            if cost <= (1 + ROUNDING) * self.costs[-1]:
                 self.best = theta
 
     def end(self, converged: bool) -> Refit:
