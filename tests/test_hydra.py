@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -283,6 +284,8 @@ def test_a_setting_of_swept_options_is_not_for_the_default_option(typed: Typed) 
     ended = typed(*sweep, tiny=False)
     assert ended.code == 0, ended.err
     assert "2 runs: 2 ran" in ended.out
+    (record,) = (ended.root / ".sweeps").iterdir()
+    assert "optimizer.particles=5" in json.loads(record.read_text())["overrides"]
 
 
 def test_a_list_of_experiments_is_merged() -> None:

@@ -24,6 +24,7 @@ from experiments.app.explain import (
     check_choices,
     composition_message,
     replace_spaces,
+    without_choice,
 )
 from experiments.app.options import CONF as CONF
 from experiments.app.options import source
@@ -126,7 +127,7 @@ def as_typed(overrides: Any) -> list[str]:
     An element of the node would have the value of the interpolation, or raise if it has none yet.
     """
     texts: Any = OmegaConf.to_container(OmegaConf.create(overrides), resolve=False)
-    return list(map(str, texts))
+    return [without_choice(str(text)) for text in texts]
 
 
 def _check_problem(config: DictConfig, node: HydraConf) -> None:

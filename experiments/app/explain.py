@@ -156,6 +156,12 @@ def _is_plain(override: Override) -> bool:
     return changes and not quoted and override.value() is not None
 
 
+def without_choice(text: str) -> str:
+    """An override as it was typed, before `replace_spaces` made it a choice of one value."""
+    plain = re.sub(r"=choice\((.+)\)$", r"=\1", text)
+    return text if plain == text or parse_overrides([plain])[0].is_sweep_override() else plain
+
+
 def _unreadable(text: str) -> str:
     if text.endswith(","):
         return f"{text}: ends with a comma; remove it, or add a value"
@@ -194,8 +200,8 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         key = str(cause.full_key)
         typed = [text for text in texts if text.lstrip("+").startswith(f"{key}=")]
         if expected and typed:
-            given = parse_overrides(typed)[-1]
-            value = typed[-1].partition("=")[2] if given.is_sweep_override() else given.value()
+            last = parse_overrides(typed)[-1]
+            value = typed[-1].partition("=")[2] if last.is_sweep_override() else last.value()
             if expected == "a whole number" and isinstance(value, float) and value.is_integer():
                 expected += f", written {value:.0f}"
             return f"{key}: is {value!r}; expected {expected}"

@@ -16,8 +16,8 @@
 #define OVER 0.01              /* share of a burst, or of an inlier, that no longer counts */
 
 enum { ROW, CLOCK, LAST_TIME, SINCE, QUIET_UNTIL, TURN, ODDS, ALARM, GAIN, NUMBERS };
-enum { HAZARD, ONSET, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD, REPEATS,
-       GAP, EVERY, CAP, STEP_ERROR, BURST, SETTLE, WRONG, RULES };
+enum { HAZARD, ONSET, OUTLIERS, WIDTH, THRESHOLD, NEAR, LONG, MIDDLE, SHORT, USE, SMOOTH, HOLD,
+       REPEATS, GAP, EVERY, CAP, STEP_ERROR, BURST, SETTLE, WRONG, RULES };
 
 typedef struct {
     const double *number, *unit, *low, *high, *watched, *sigma, *noise;

@@ -34,8 +34,8 @@ from miho.quantities import Array
 from miho.validate import whole
 
 CERTAIN = 1e4
-"""A row that knows a direction so many times better than the present rows determines it; larger
-ratios would be lost in rounding."""
+"""Largest change of a candidate along a direction, in standard deviations of its error. Larger
+changes are scaled down, because rounding would lose the other directions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,8 +302,8 @@ def _whitened(
     room = reach.min(axis=1)
     root = np.hstack([at.noise * half, (room[:, None] * null).T])
     rows = candidates @ root / at.noise
-    most = np.abs(rows).max(axis=0, initial=0.0)
-    shorter = np.minimum(1.0, CERTAIN / np.where(most > 0, most, 1.0))
+    changes = np.abs(rows).max(axis=0, initial=0.0)
+    shorter = np.minimum(1.0, CERTAIN / np.where(changes > 0, changes, 1.0))
     rows, root = rows * shorter, root * shorter
     parts = np.split(rows[np.argsort(group, kind="stable")], np.cumsum(np.bincount(group))[:-1])
     most = max(len(part) for part in parts)

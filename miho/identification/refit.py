@@ -95,7 +95,8 @@ def refit(
     pin : Pin, optional
         A residual that fixes a tied parameter.
     fine : bool, optional
-        Scale parameters in wide ranges by their effect: last, as it misses far optima.
+        Whether parameters in wide ranges are scaled by their effect. This suits the last descent,
+        because it misses optima far from the start.
 
     Returns
     -------
@@ -203,7 +204,7 @@ class _Objective:
     def rescaled(self, slopes: Array, residuals: Array, fine: bool) -> Array:
         """Scale parameters in too wide a range by their effect at the start.
 
-        Slopes (N, f) and residuals (N,) are those of the start; the result has slopes in the new
+        Takes slopes (N, f) and residuals (N,) at the start, and returns the slopes in the new
         scale. Without `fine`, this only notes whether a range is too wide (`is_wide`).
         """
         problem, free = self._problem, self._free
