@@ -70,7 +70,6 @@ def typed(
         small = TINY if tiny else ("budget.evaluations=20", "dataset.n=40")
         root = tmp_path / "runs"
         GlobalHydra.instance().clear()
-        monkeypatch.setattr("experiments.app.console.SILENT", 3600.0)
         monkeypatch.setattr(sys, "argv", ["identify", *small, f"root={root}", *arguments])
         with pytest.raises(SystemExit) as end:
             identify.main()
@@ -454,23 +453,14 @@ def test_no_command_imports_what_hydra_keeps_to_itself() -> None:
 def test_seeds_of_one_setting_share_a_composition(
     typed: Typed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Composing takes a tenth of a second, and Hydra's sweeper has composed each job before."""
+    """Composing takes a tenth of a second, and Hydra's sweeper composes each job to check it."""
     settings: list[list[str]] = []
-    composed = launch._composed
 
-    def counted(jobs: Any, context: Any, config: Any) -> Any:
-        loader = context.config_loader
-        compose_one = loader.load_sweep_config
+    class Counted(launch.Compositions):
+        def __init__(self, compose: Callable[..., Any]) -> None:
+            super().__init__(lambda *given: (settings.append(given[1]), compose(*given))[1])
 
-        def compose(config: Any, overrides: list[str]) -> Any:
-            settings.append(overrides)
-            return compose_one(config, overrides)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(loader, "load_sweep_config", compose)
-            return composed(jobs, context, config)
-
-    monkeypatch.setattr(launch, "_composed", counted)
+    monkeypatch.setattr(launch, "Compositions", Counted)
     assert typed("-m", "optimizer=random,least_squares", "seed=0,1,2", tiny=False).code == 0
     methods = [overrides[-1] for overrides in settings]
-    assert methods == ["optimizer=least_squares", "optimizer=random"]
+    assert methods == ["optimizer=random", "optimizer=least_squares"]

@@ -57,10 +57,6 @@ BAD_INPUT_ERRORS = (
     MissingNumbaError,
 )  # fmt: skip
 
-COMPOSING = "composing the jobs of the sweep, about 0.1 s each"
-SILENT = 2.0
-"""Time until this line is printed [s]."""
-
 Task = Callable[[DictConfig], float | None]
 VALUED = (
     "--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn",
@@ -101,13 +97,6 @@ class Job:
         self.task, self.pool = task, pool
         self.sweep: Any = None
         """The `experiments.app.launch.Sweep` of the pool, after its start."""
-        self.composing = threading.Timer(SILENT, print, [COMPOSING], {"file": sys.stderr})
-        """Prints a line if Hydra composes the jobs of a sweep for a long time."""
-        self.composing.daemon = True
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All but the timer, for launchers that send the job to other processes."""
-        return vars(self) | {"composing": None}
 
     def __call__(self, cfg: DictConfig) -> float | None:
         """Run one job; bad input or storage of a single run, or a printed ending, is no failure."""
@@ -188,7 +177,6 @@ def command(
         except _Refused as refused:
             raise refused.__cause__ or refused from None
         finally:
-            job.composing.cancel()
             code = OK if job.sweep is None else job.sweep.summed_up()
         return afterwards(job.sweep) if afterwards and job.sweep is not None else code
 

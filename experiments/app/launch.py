@@ -7,9 +7,12 @@ composition takes a tenth of a second.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 from hydra.conf import HydraConf
@@ -36,6 +39,8 @@ IN_A_SWEEP = {
     "target": "budget.target=LOSS",
 }
 """Settings of an arena, and an override of a sweep that takes their place."""
+COMPOSING, MANY = "composing the settings of the sweep, about 0.1 s each", 20
+"""A line, and the number of settings after which it is printed."""
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
 """Keys of the seed and of the execution, which do not describe the setting of a run."""
 
@@ -52,6 +57,26 @@ class Sweep:
     def summed_up(self) -> int:
         """Print a summary of the runs; return the exit code."""
         return print_summary(self.states) if self.states else OK
+
+
+class Compositions:
+    """Composes each setting of a batch of jobs once, in place of Hydra's function `compose`.
+
+    The sweeper of Hydra composes all jobs to check them. The seed of a job is set later.
+    """
+
+    def __init__(self, compose: Callable[[DictConfig, list[str]], DictConfig]) -> None:
+        self.compose = compose
+        self.made: dict[tuple[str, ...], DictConfig] = {}
+
+    def __call__(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
+        """Configuration of the setting of a job, with the node `hydra`."""
+        setting = _setting(sweep_overrides)
+        if setting not in self.made:
+            if len(self.made) == MANY:
+                print(COMPOSING, file=sys.stderr)
+            self.made[setting] = self.compose(master_config, list(setting))
+        return self.made[setting]
 
 
 @dataclass(frozen=True)
@@ -99,8 +124,9 @@ def launch(
         raise ConfigError(
             "hydra.job.env_set: does not reach the workers of a cluster; set the variables there"
         )
-    task.composing.cancel()
-    composed = _composed(jobs, context, config)
+    compose = context.config_loader.load_sweep_config
+    settings_of_jobs = dict.fromkeys(job.setting for job in reversed(jobs))
+    composed = {setting: compose(config, list(setting)) for setting in settings_of_jobs}
     plan = _planned(jobs, composed, checked.time_limit)
     _announce(jobs, composed, context, task)
     outcome = run(
@@ -136,22 +162,15 @@ def _refuse_arena(config: DictConfig) -> None:
             )
 
 
+def _setting(texts: Sequence[str]) -> tuple[str, ...]:
+    return tuple(text for text in texts if not text.startswith("seed="))
+
+
 def _job(number: int, texts: Sequence[str]) -> _Job:
     seeds = [text.partition("=")[2] for text in texts if text.startswith("seed=")]
-    setting = tuple(text for text in texts if not text.startswith("seed="))
     if seeds and not seeds[-1].isdecimal():
         raise ConfigError(f"seed: is {seeds[-1]}; expected a whole number of at least 0")
-    return _Job(number, tuple(texts), setting, int(seeds[-1]) if seeds else None)
-
-
-def _composed(
-    jobs: Sequence[_Job], context: HydraContext, config: DictConfig
-) -> dict[tuple[str, ...], DictConfig]:
-    """Configuration of each setting, with the node `hydra`, the setting of the last job first."""
-    settings = dict.fromkeys(job.setting for job in reversed(jobs))
-    compose = context.config_loader.load_sweep_config
-    bar = tqdm(settings, "composing", leave=False, disable=None)
-    return {setting: compose(config, list(setting)) for setting in bar}
+    return _Job(number, tuple(texts), _setting(texts), int(seeds[-1]) if seeds else None)
 
 
 def _planned(
@@ -216,21 +235,22 @@ def _announce(
     task: TaskFunction,
 ) -> None:
     """Write the `.hydra` folder of each job, and call Hydra's callbacks for its start."""
+    texts = {setting: OmegaConf.to_yaml(_copied(config)) for setting, config in composed.items()}
     for job in jobs:
         config = _of_job(job, composed[job.setting])
         subdir = config.hydra.output_subdir
         if subdir is not None:
             folder = Path(config.hydra.runtime.output_dir, subdir)
             folder.mkdir(parents=True, exist_ok=True)
-            for name, text in _texts(config):
+            for name, text in _records(config, texts[job.setting]):
                 (folder / name).write_text(text, encoding="utf-8")
         context.callbacks.on_job_start(config=config, task_function=task)
 
 
-def _texts(config: DictConfig) -> Iterator[tuple[str, str]]:
-    """Names and texts of the files that Hydra writes for each job."""
-    yield "config.yaml", OmegaConf.to_yaml(_copied(config))
-    yield "hydra.yaml", OmegaConf.to_yaml(OmegaConf.masked_copy(config, ["hydra"]))
+def _records(config: DictConfig, text: str) -> Iterator[tuple[str, str]]:
+    """Names and texts of the files that Hydra writes for each job; `text` may have another seed."""
+    yield "config.yaml", re.sub("^seed:.*", f"seed: {config.seed}", text, flags=re.MULTILINE)
+    yield "hydra.yaml", "hydra:\n" + indent(OmegaConf.to_yaml(config.hydra), "  ")
     yield "overrides.yaml", OmegaConf.to_yaml(config.hydra.overrides.task)
 
 

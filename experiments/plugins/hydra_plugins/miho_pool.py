@@ -30,10 +30,11 @@ class PoolLauncher(Launcher):
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
         """Keep the configuration and the task of the multirun, whose jobs Hydra composes next."""
-        from experiments.app.console import Job
+        from experiments.app.launch import Compositions
 
-        if isinstance(task_function, Job):
-            task_function.composing.start()
+        loader = hydra_context.config_loader
+        self.compositions = Compositions(loader.load_sweep_config)
+        loader.load_sweep_config = self.compositions  # type: ignore[method-assign]
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(
@@ -43,7 +44,9 @@ class PoolLauncher(Launcher):
         from experiments.app.launch import launch
 
         with env_override(self.config.hydra.job.env_set):
-            return launch(
+            returned = launch(
                 job_overrides, initial_job_idx, self.hydra_context, self.task_function, self.config,
                 self.settings,
             )  # fmt: skip
+        self.compositions.made.clear()
+        return returned
