@@ -105,6 +105,8 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "an experiment twice": (["+experiment=compare"], 2, "write experiment=compare"),
     "a list of bounds": (["space.B=[0,5]"], 2, r"space.B.low=0 space.B.high=1"),
     "a setting": (["-m", "dataset.n=40,50"], 0, r"n=40 +\w+ +1 (.|\n)*n=50 +\w+ +1 "),
+    "a root of a job": (["-m", "root=x/${hydra:job.num}"], 2, "root: is .*; leave out the job"),
+    "chdir": (["hydra.job.chdir=true"], 2, "hydra.job.chdir=true: .* remove it"),
     "--cfg job": (["--cfg", "job"], 0, r"seed: 0\nworkers"),
     "--cfg hydra": (["--cfg", "hydra"], 0, r"_target_: hydra_plugins.miho_pool.PoolLauncher"),
     "--cfg all": (["--cfg", "all"], 0, r"hydra:\n  run:"),
@@ -126,7 +128,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a deleted group": (["~loss"], 2, "loss"),
     "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 run: 1 ran"),
 }  # fmt: skip
-QUICK = ("several values without -m", "--cfg job", "sweep.subdir")
+QUICK = ("several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir")
 
 
 @pytest.mark.parametrize(
@@ -157,19 +159,11 @@ def test_a_single_run_leaves_hydras_record(typed: Typed) -> None:
     assert "hydra" in yaml.safe_load(overrides.with_name("hydra.yaml").read_text())
 
 
-def test_paths_begin_in_the_folder_of_the_command_if_the_job_changes_it(
-    typed: Typed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("mine.py").write_text(
-        'def curve(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":\n'
-        "    return D * C * B * (alpha + Sx) + Sy\n"
-    )
-    paths = ("model=function", "model.path=mine.py", "root=here")
-    ended = typed(*paths, "hydra.job.chdir=true")
+def test_values_of_hydra_are_those_of_the_job(typed: Typed) -> None:
+    name = "method=${hydra:runtime.choices.optimizer}_${hydra:job.num}"
+    ended = typed("-m", "optimizer=random,pso_100", name, tiny=False)
     assert ended.code == 0, ended.err
-    assert Path.cwd() == tmp_path
-    assert len(load_runs("here").runs) == 1
+    assert sorted(load_runs(ended.root).runs["optimizer"]) == ["pso_100_1", "random_0"]
 
 
 def test_each_job_of_a_sweep_leaves_hydras_record(typed: Typed, tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from hydra import compose, initialize_config_dir
 from hydra.conf import HydraConf
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
-from hydra.utils import to_absolute_path
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
@@ -90,6 +89,11 @@ def job_config(config: DictConfig, node: HydraConf) -> DictConfig:
     folder. Raises ConfigError if `method` is the name of another option, and if a problem is chosen
     with another dataset than its own. A problem with other settings has no recorded optimum.
     """
+    if node.job.chdir:
+        raise ConfigError(
+            "hydra.job.chdir=true: would change the meaning of relative paths; remove it, because "
+            "all runs work in the folder of the command"
+        )
     choices = node.runtime.choices
     option = (choices.get("optimizer") or "").rpartition("/")[2] or None
     with open_dict(config):
@@ -108,17 +112,6 @@ def job_config(config: DictConfig, node: HydraConf) -> DictConfig:
     ):
         _check_problem(config, node)
     return config
-
-
-def make_absolute(config: DictConfig) -> None:
-    """Make paths absolute that were given from the folder in which the command began."""
-    for key in config:
-        if OmegaConf.is_missing(config, key):
-            continue
-        if OmegaConf.is_dict(config[key]):
-            make_absolute(config[key])
-        elif key in ("path", "root") and isinstance(config[key], str):
-            config[key] = to_absolute_path(config[key])
 
 
 def as_typed(overrides: Any) -> list[str]:

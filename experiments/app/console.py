@@ -23,7 +23,7 @@ from tqdm import tqdm
 from yaml import YAMLError
 
 from experiments.app import schema
-from experiments.app.compose import CONF, VERSION_BASE, job_config, make_absolute
+from experiments.app.compose import CONF, VERSION_BASE, job_config
 from experiments.app.explain import (
     ConfigError,
     check_choices,
@@ -103,10 +103,7 @@ class Job:
         context = HydraConfig.get()
         alone = context.mode is RunMode.RUN
         try:
-            config = job_config(cfg, context)
-            if context.job.chdir:
-                make_absolute(config)
-            return self.task(config)
+            return self.task(job_config(cfg, context))
         except (*BAD_INPUT_ERRORS, OSError, ResumeRefused, EndedError) as error:
             if alone:
                 raise _Refused from error

@@ -16,12 +16,13 @@ from textwrap import indent
 from typing import Any
 
 from hydra.conf import HydraConf
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 from tqdm import tqdm
 
-from experiments.app.build import plain
+from experiments.app.build import Settings, plain
 from experiments.app.compose import as_typed, job_config
 from experiments.app.console import OK, Job
 from experiments.app.explain import ConfigError
@@ -187,14 +188,16 @@ def _planned(
     def plan(setting: tuple[str, ...], config: DictConfig, lose: bool) -> None:
         cfg = job_config(_copied(config), config.hydra)
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
-        alike: dict[str, dict[int, int]] = {}  # seeds by number of job; ${seed} makes groups
+        alike: dict[str, dict[int, Settings]] = {}  # by job; ${seed} and ${hydra:...} make groups
         for job in (job for job in jobs if job.setting == setting):
+            _of_job(job, config)
             cfg.seed = cfg.seed if job.seed is None else job.seed
-            alike.setdefault(str({**plain(cfg), "seed": None}), {})[job.number] = cfg.seed
-        for seeds in alike.values():
-            cfg.seed = min(seeds.values())
-            of_seeds = requests(cfg, words, list(seeds.values()), trials, lose=lose)
-            planned.update(zip(seeds, of_seeds, strict=True))
+            whole = plain(cfg)
+            alike.setdefault(str({**whole, "seed": None}), {})[job.number] = whole
+        for wholes in alike.values():
+            seeds = [whole["seed"] for whole in wholes.values()]
+            of_seeds = requests(next(iter(wholes.values())), words, seeds, trials, lose=lose)
+            planned.update(zip(wholes, of_seeds, strict=True))
 
     with Trials(time_limit) as trials:
         for setting, config in tqdm(composed.items(), "checking", leave=False, disable=None):
@@ -255,7 +258,8 @@ def _records(config: DictConfig, text: str) -> Iterator[tuple[str, str]]:
 
 
 def _of_job(job: _Job, config: DictConfig) -> DictConfig:
-    """Configuration of a job; the next call for the same setting changes it."""
+    """Configuration of a job, also for ${hydra:...}; the next call for the setting changes it."""
+    HydraConfig.instance().cfg = config  # type: ignore[assignment]
     with open_dict(config):
         if job.seed is not None:
             config.seed = job.seed

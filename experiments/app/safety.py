@@ -267,7 +267,9 @@ def check_typed(overrides: Sequence[str]) -> None:
 
 
 def check_root(text: str) -> None:
-    """Raise ConfigError if `root` is not a path that this system can store."""
+    """Raise ConfigError if `root` is not a path that this system can store, or is one of a job."""
+    if "${hydra:job." in text:
+        raise ConfigError(f"root: is {text}; leave out the job: each run has its own folder")
     if not text.strip() or not text.isprintable():
         raise ConfigError(f"root: is {text[:LONGEST_SHOWN]!r}; expected the path of a folder")
     try:

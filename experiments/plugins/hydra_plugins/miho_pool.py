@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, env_override
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
@@ -35,6 +36,7 @@ class PoolLauncher(Launcher):
         loader = hydra_context.config_loader
         self.compositions = Compositions(loader.load_sweep_config)
         loader.load_sweep_config = self.compositions  # type: ignore[method-assign]
+        HydraConfig.instance().set_config(config)  # for ${hydra:...} in root
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(
