@@ -17,7 +17,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from experiments.app.build import build
+from experiments.app.build import ConfigError, build
+from experiments.app.compose import as_typed
 from experiments.app.console import SOME_FAILED, EndedError, command
 from experiments.app.forecast import announce
 from experiments.app.plan import Trials, request_of, requests, sweep_settings
@@ -52,7 +53,14 @@ def identify(cfg: DictConfig) -> float | None:
             plan = requests(cfg, "", [cfg.seed], trials)
         print_summary(run(plan, settings).states)
         return None
-    is_job = HydraConfig.get().mode is RunMode.MULTIRUN
+    hydra = HydraConfig.get()
+    is_job = hydra.mode is RunMode.MULTIRUN
+    for text in as_typed(hydra.overrides.task):
+        if text.startswith("sweep."):
+            raise ConfigError(
+                f"{text}: is for a sweep, -m, with hydra/launcher=pool; workers=2 makes the "
+                "evaluations of a run in two processes"
+            )
     experiment = build(cfg)
     if not is_job:
         announce(experiment, cfg.dataset)

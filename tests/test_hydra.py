@@ -107,6 +107,9 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a setting": (["-m", "dataset.n=40,50"], 0, r"n=40 +\w+ +1 (.|\n)*n=50 +\w+ +1 "),
     "a root of a job": (["-m", "root=x/${hydra:job.num}"], 2, "root: is .*; leave out the job"),
     "chdir": (["hydra.job.chdir=true"], 2, "hydra.job.chdir=true: .* remove it"),
+    "workers of a sweep": (["-m", "sweep.workers=1,2"], 2, "sweep: holds for the whole sweep"),
+    "a sweep without -m": (["sweep.workers=2"], 2, "sweep.workers=2: is for a sweep, -m"),
+    "a missing rerun": (["--experimental-rerun=x.pickle"], 2, "x.pickle: No such file"),
     "--cfg job": (["--cfg", "job"], 0, r"seed: 0\nworkers"),
     "--cfg hydra": (["--cfg", "hydra"], 0, r"_target_: hydra_plugins.miho_pool.PoolLauncher"),
     "--cfg all": (["--cfg", "all"], 0, r"hydra:\n  run:"),
@@ -128,7 +131,10 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a deleted group": (["~loss"], 2, "loss"),
     "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 run: 1 ran"),
 }  # fmt: skip
-QUICK = ("several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir")
+QUICK = (
+    "several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir",
+    "workers of a sweep", "a sweep without -m", "a missing rerun",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

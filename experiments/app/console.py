@@ -160,6 +160,8 @@ def command(
             return OK
         for folder in folders[1:]:
             check_folder(folder)
+        for file in _values(options, "--experimental-rerun"):
+            Path(file).stat()
         if not completes:
             check_typed(overrides)
             check_choices(overrides)

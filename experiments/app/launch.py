@@ -42,6 +42,8 @@ IN_A_SWEEP = {
 """Settings of an arena, and an override of a sweep that takes their place."""
 COMPOSING, MANY = "composing the settings of the sweep, about 0.1 s each", 20
 """A line, and the number of settings after which it is printed."""
+WHOLE = ("fresh", "sweep", "tracking")
+"""Keys of the execution, which all jobs share."""
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
 """Keys of the seed and of the execution, which do not describe the setting of a run."""
 
@@ -128,6 +130,12 @@ def launch(
     compose = context.config_loader.load_sweep_config
     settings_of_jobs = dict.fromkeys(job.setting for job in reversed(jobs))
     composed = {setting: compose(config, list(setting)) for setting in settings_of_jobs}
+    for key in WHOLE:
+        if any(job[key] != config[key] for job in composed.values()):
+            raise ConfigError(
+                f"{key}: holds for the whole sweep; give one value for all jobs, on the command "
+                "line or in an experiment that all of them have"
+            )
     plan = _planned(jobs, composed, checked.time_limit)
     _announce(jobs, composed, context, task)
     outcome = run(
