@@ -227,14 +227,16 @@ class TextTable:
 
     def _detect_delimiter(self, header: bool) -> str:
         """The delimiter that gives the requested columns in the header; a comma by default."""
-        line = self.lines[0]
         candidates = [character for character in DELIMITERS.values() if character != self.decimal]
+        line = self.lines[0]
         for candidate in candidates:
-            cells = [cell.strip().strip('"') for cell in line.split(candidate)]
-            if header and set(self.columns) <= set(cells):
+            if header and self._names_columns(line, candidate):
                 return candidate
         present = [candidate for candidate in candidates if candidate in line]
         return (present or candidates)[0]
+
+    def _names_columns(self, line: str, delimiter: str) -> bool:
+        return set(self.columns) <= {cell.strip().strip('"') for cell in line.split(delimiter)}
 
     def _error(self, line: int, column: int, problem: str) -> CSVError:
         """An error at a line of `lines`, counted from 0."""
@@ -245,13 +247,28 @@ class TextTable:
         for name in self.columns:
             if name not in names:
                 problem = f"no column {name!r} in the header {self.lines[0].strip()[:80]!r}"
-                raise self._error(0, 1, f"{problem}; {_header_remedy(name, names)}")
+                raise self._error(0, 1, f"{problem}; {self._header_remedy(name, names)}")
             if names.count(name) > 1:
                 column = self._cells(0)[names.index(name, names.index(name) + 1)][0]
                 raise self._error(0, column, f"column {name!r} appears twice; keep one")
         self.first = 1
         self.width = len(names)
         self.positions = [names.index(name) for name in self.columns]
+
+    def _header_remedy(self, name: str, names: Sequence[str]) -> str:
+        """Advice for a column that the header does not name."""
+        for number, line in zip(self.line_numbers[1:50], self.lines[1:50], strict=True):
+            if any(self._names_columns(line, delimiter) for delimiter in DELIMITERS.values()):
+                return f"line {number} names the columns: set skip_rows={number - 1}"
+        if len(names) == 1 and re.search(r"\S[\s|:]+\S", names[0]):
+            return "separate columns with commas"
+        if all(_number(header) is not None for header in names):
+            return "begin the file with a line that names the columns"
+        close = [header for header in names if header.casefold() == name.casefold()]
+        close += get_close_matches(name, names, n=1)
+        if close:
+            return f"rename it, or set headers=[..., {close[0][:40]!r}, ...]"
+        return "give the names in the file in the same order: headers=[...]"
 
     def numbers(self) -> dict[str, Array]:
         """The requested columns, (N,) each."""
@@ -361,19 +378,6 @@ class TextTable:
             start = match.end() + 1
             if start > len(text):
                 return cells
-
-
-def _header_remedy(name: str, names: Sequence[str]) -> str:
-    """Advice for a column that the header does not name."""
-    if len(names) == 1 and re.search(r"\S[\s|:]+\S", names[0]):
-        return "separate columns with commas"
-    if all(_number(header) is not None for header in names):
-        return "begin the file with a line that names the columns"
-    close = [header for header in names if header.casefold() == name.casefold()]
-    close += get_close_matches(name, names, n=1)
-    if close:
-        return f"rename it, or set headers=[..., {close[0][:40]!r}, ...]"
-    return "give the names in the file in the same order: headers=[...]"
 
 
 def _number(cell: str, decimal: str = ".") -> float | None:

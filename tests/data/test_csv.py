@@ -47,6 +47,7 @@ BAD = {
     "not UTF-8": (b"a,b\n1,\xff\n", "2:3", "not UTF-8"),
     "a long line": ("a,b\n" + "1" * 10_001, "2:10000", "longer than"),
     "blanks": ("a b\n1 2\n", "1:1", "separate columns with commas"),
+    "a comment above": ("# A\na;b\n1;2\n", "1:1", "line 2 names the columns: set skip_rows=1"),
     "two delimiters": ("a;b\n1,2\n", "2:1", "1 cells; every row must have 2; add or remove"),
     "a time": ("a,b\n10:00:01,2\n", "2:1", "write times as seconds since the first row"),
     "a date": ("a,b\n1,2024-05-03T10\n", "2:3", "write times as seconds since the first row"),
