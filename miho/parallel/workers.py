@@ -302,12 +302,17 @@ def start_server(modules: Sequence[str]) -> None:
     """Start the server that forks workers with these modules, unless it is running.
 
     Its numerical libraries have one thread from the start. Otherwise each fork would stop and
-    restart their threads, which takes longer than a small job.
+    restart their threads, which takes longer than a small job. It ignores Ctrl-C from the start,
+    which would print the line that it imports.
     """
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
+    handler = signal.getsignal(signal.SIGINT)
+    is_main = threading.current_thread() is threading.main_thread()
     try:
+        if is_main:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         forkserver.ensure_running()
     except OSError as error:
         folder = tempfile.gettempdir()
@@ -318,6 +323,8 @@ def start_server(modules: Sequence[str]) -> None:
             "set it to a shorter path, for example /tmp"
         ) from None
     finally:
+        if is_main:
+            signal.signal(signal.SIGINT, handler)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ import pytest
 from miho.parallel.pool import open_pool
 from miho.parallel.processes import descendants
 from miho.parallel.worker_process import INTERRUPTED
-from miho.parallel.workers import JobOutcome, Workers
+from miho.parallel.workers import JobOutcome, Workers, start_server
 from tests.faults.misbehaviour import misbehave, spoil
 
 if TYPE_CHECKING:
@@ -149,3 +150,13 @@ def test_a_temporary_folder_too_long_for_sockets_is_said_in_one_line(tmp_path: P
         f"OSError: TMPDIR: {folder} is too long for the sockets of workers ({len(str(folder))} "
         "characters); set it to a shorter path, for example /tmp"
     )
+
+
+def test_the_server_ignores_interrupts_while_it_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+    handlers: list[object] = []
+    start = lambda: handlers.append(signal.getsignal(signal.SIGINT))  # noqa: E731
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("multiprocessing.forkserver.ensure_running", start)
+    start_server([])
+    assert handlers == [signal.SIG_IGN]
+    assert signal.getsignal(signal.SIGINT) is before
