@@ -109,7 +109,8 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "chdir": (["hydra.job.chdir=true"], 2, "hydra.job.chdir=true: .* remove it"),
     "workers of a sweep": (["-m", "sweep.workers=1,2"], 2, "sweep: holds for the whole sweep"),
     "a sweep without -m": (["sweep.workers=2"], 2, "sweep.workers=2: is for a sweep, -m"),
-    "a missing rerun": (["--experimental-rerun=x.pickle"], 2, "x.pickle: No such file"),
+    "two modes": (["-m", "--cfg", "job"], 2, "Only one of --run, --multirun, --cfg"),
+    "an empty batch": (["-m", "hydra.sweeper.max_batch_size=0"], 2, "Hydra requires: .* > 0"),
     "--cfg job": (["--cfg", "job"], 0, r"seed: 0\nworkers"),
     "--cfg hydra": (["--cfg", "hydra"], 0, r"_target_: hydra_plugins.miho_pool.PoolLauncher"),
     "--cfg all": (["--cfg", "all"], 0, r"hydra:\n  run:"),
@@ -133,7 +134,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
 }  # fmt: skip
 QUICK = (
     "several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir",
-    "workers of a sweep", "a sweep without -m", "a missing rerun",
+    "workers of a sweep", "a sweep without -m", "two modes", "an empty batch",
 )  # fmt: skip
 
 
@@ -385,6 +386,7 @@ def _errors(root: Path) -> list[float]:
         (["hydra.sweeper.direction=up", "seed=choice(1,2)"], "direction: is 'up'; expected min"),
         (["hydra.sweeper.n_trials=0", "seed=choice(1,2)"], "n_trials: is 0; expected at least 1"),
         ([], "hydra.sweeper.params: is empty"),
+        (["sweep.dry_run=true", "seed=choice(1,2)"], "sweep.dry_run=true: lists no trials"),
         (["seed=interval(1,x)"], "cannot be read"),
         (["seed=range(3)", "hydra.sweeper.storage=sqlite:///x.db"], "study_name: is missing"),
     ],

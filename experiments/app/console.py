@@ -160,8 +160,6 @@ def command(
             return OK
         for folder in folders[1:]:
             check_folder(folder)
-        for file in _values(options, "--experimental-rerun"):
-            Path(file).stat()
         if not completes:
             check_typed(overrides)
             check_choices(overrides)
@@ -175,6 +173,11 @@ def command(
             raise ConfigError(composition_message(error, overrides)) from error
         except _Refused as refused:
             raise refused.__cause__ or refused from None
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            if not Path(last.filename).is_relative_to(Path(hydra.__file__).parent):
+                raise
+            raise ConfigError(one_line(error) or f"Hydra requires: {last.line}") from error
         finally:
             code = OK if job.sweep is None else job.sweep.summed_up()
         return afterwards(job.sweep) if afterwards and job.sweep is not None else code

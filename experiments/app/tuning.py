@@ -48,6 +48,11 @@ def tune(
 ) -> None:
     """Ask for trials, execute them and report their errors until the study has `n_trials`."""
     _check(sweeper)
+    if config.sweep.dry_run:
+        raise ConfigError(
+            "sweep.dry_run=true: lists no trials, because each depends on the results of earlier "
+            "ones; leave it out"
+        )
     space, fixed = search_space(sweeper.params, arguments, config)
     with _study(sweeper) as study:
         _tune(study, sweeper, launcher, config, space, fixed)
