@@ -18,6 +18,7 @@ from baselines.arena.results import ArenaResults, TooFewError, write_arena
 from experiments.app.build import ConfigError, build_dataset, rebuild
 from experiments.app.configured import as_configured
 from experiments.app.front_axle import FrontAxle, facts, verdict
+from experiments.app.options import options_of
 from experiments.app.run_text import table_text
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.compare.claims import is_on_a_tire
@@ -53,7 +54,7 @@ def read_comparison(root: Path) -> Comparison:
     if comparison is None:
         raise ConfigError(
             f"{root}: holds no arena; run python -m experiments.compare experiment=arena_small "
-            f"root={root} first"
+            f"{_at(root)} first"
         )
     if comparison.missing:
         raise ConfigError(
@@ -115,11 +116,10 @@ def draw_comparison(
     if advice := clock_of(runs).advice(sweeps):
         print(advice, file=sys.stderr)
     for method in stuck(curves):
-        print(
-            f"{method}: no run improved its first error by 1 %; its settings may not suit this "
-            f"problem: python -m experiments.identify optimizer={method} --help",
-            file=sys.stderr,
-        )
+        name, settings = base_name(method), "its settings may not suit this problem"
+        if name in options_of("optimizer"):
+            settings += f": python -m experiments.identify optimizer={name} --help"
+        print(f"{method}: no run improved its first error by 1 %; {settings}", file=sys.stderr)
     return [*paths, *table_paths, write_origin(comparison, output)]
 
 
@@ -167,7 +167,7 @@ def compared(
     if problem is None and len(problems) != 1:
         raise ConfigError(
             f"{root}: holds runs on {len(problems)} problems; draw one: python -m "
-            f"experiments.figures fig6 root={root} problem=NAME, {_of(problems)}"
+            f"experiments.figures fig6 {_at(root)} problem=NAME, {_of(problems)}"
         )
     runs = runs[runs["problem"] == (problem or problems[0])]
     if methods is not None:
@@ -180,10 +180,15 @@ def compared(
     if len(names) < 2:
         raise ConfigError(
             f"{root}: holds only runs of {', '.join(names)}; a comparison needs a second method "
-            f"or setting, such as python -m experiments.identify -m optimizer=... root={root}"
+            f"or setting, such as python -m experiments.identify -m optimizer=... {_at(root)}"
         )
     curves = stored.curves
     return runs, curves[curves["id"].isin(runs["id"])]
+
+
+def _at(root: Path) -> str:
+    """The root as an argument of a command."""
+    return f"root={shlex.quote(str(root))}"
 
 
 def _of(names: Sequence[str]) -> str:
@@ -252,7 +257,7 @@ def _axle_run(root: Path, optimizer: str) -> StoredRun:
     raise ConfigError(
         f"{root}: no run of {optimizer} on an axle of a driving log up to some time; run python -m "
         f"experiments.identify dataset=axle_log dataset.path=LOG.csv dataset.end=SECONDS "
-        f"optimizer={optimizer} root={root}"
+        f"optimizer={optimizer} {_at(root)}"
     )
 
 
@@ -287,7 +292,7 @@ def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) 
         if runs.empty:
             raise ConfigError(
                 f"{root}: no run of {optimizer} on {dataset}; run python -m experiments.identify "
-                f"-m dataset={','.join(datasets)} optimizer={optimizer} root={root}"
+                f"-m dataset={','.join(datasets)} optimizer={optimizer} {_at(root)}"
             )
         best.append(read_run(Path(runs.sort_values("error", kind="stable").iloc[0]["folder"])))
     return best

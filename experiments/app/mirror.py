@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
+import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -151,7 +152,7 @@ def mirror(root: Path, folders: Sequence[Path], connect: Callable[[], Tracker]) 
 def _say_missing(root: Path, missing: int, runs: int, reason: str) -> None:
     print(
         f"mirror: {missing} of {runs} runs may not be in the tracker ({reason}); "
-        f"run python -m experiments.sync {root}",
+        f"run python -m experiments.sync {shlex.quote(str(root))}",
         file=sys.stderr,
     )
 

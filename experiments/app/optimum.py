@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -110,7 +111,8 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     if checked:
         return again
     trust = " --trust" if model_files(stored.config) else ""
-    command = f"python -m experiments.report {stored.folder} --check{trust}"
+    folder = shlex.quote(str(stored.folder))
+    command = f"python -m experiments.report {folder} --check{trust}"
     return f"{again} Or look for a better optimum: {command}"
 
 

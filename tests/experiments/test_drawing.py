@@ -140,6 +140,8 @@ def test_the_folder_above_a_root_names_the_root(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+    tmp_path /= "my runs"
+    tmp_path.mkdir()
     with pytest.raises(ConfigError, match="holds no finished run; run python -m"):
         compared(tmp_path)
     commit(tmp_path, "random")
@@ -152,7 +154,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no runs of gone; expected paper or some of pso_100, r"):
         compared(tmp_path, methods=["random", "gone"])
     commit(tmp_path, "random", "growth")
-    with pytest.raises(ConfigError, match=r"fig6 root=.* problem=NAME, expected one of decay, g"):
+    with pytest.raises(ConfigError, match=r"root='.*my runs' problem=NAME, expected one of d"):
         compared(tmp_path)
     assert len(compared(tmp_path, problem="decay")[0]) == 2
     with pytest.raises(ConfigError, match=r"problem: is x, but .* has no runs on it; expected one"):
