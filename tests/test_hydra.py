@@ -196,6 +196,15 @@ def test_the_record_of_a_sweep_in_its_root_has_the_sweeper(typed: Typed, tmp_pat
     assert words[4:] == [*TINY, f"root={tmp_path / 'runs'}", f"++{params}"]
 
 
+def test_the_record_of_a_sweep_in_its_root_has_its_own_configuration(
+    typed: Typed, tmp_path: Path
+) -> None:
+    folder = own(tmp_path, "study", "defaults: [config, _self_]\n")
+    assert typed(folder, "--config-name=study", "-m").code == 0
+    (words,) = sweep_commands(tmp_path / "runs")
+    assert words[4:6] == [folder, "--config-name=study"]
+
+
 @pytest.mark.slow
 def test_the_same_sweep_again_runs_nothing_and_a_larger_one_what_is_missing(typed: Typed) -> None:
     assert "2 runs: 2 ran" in typed("-m", "seed=1,2").out

@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from tqdm import tqdm
 
 from experiments.app.build import Settings, plain
-from experiments.app.compose import as_typed, job_config
+from experiments.app.compose import CONF, as_typed, job_config
 from experiments.app.console import OK, Job
 from experiments.app.explain import ConfigError
 from experiments.app.plan import Request, Trials, requests, sweep_settings
@@ -226,7 +226,7 @@ def _is_of(text: str, keys: Sequence[str]) -> bool:
 
 
 def typed(node: HydraConf) -> list[str]:
-    """Folders of options and overrides of the whole command, for its record in the root.
+    """Own configuration, folders of options and overrides of a command, for its record in the root.
 
     `node` is Hydra's configuration. Settings that change no result are left out.
     """
@@ -236,7 +236,9 @@ def typed(node: HydraConf) -> list[str]:
     folders = [path.relative_to(here) if path.is_relative_to(here) else path for path in folders]
     overrides = [x for x in as_typed(node.overrides.task) if not _is_of(x, ("fresh", "sweep"))]
     sweeper = [x for x in as_typed(node.overrides.hydra) if x.lstrip("+").startswith(SWEEPER)]
-    return [*(f"--config-dir={folder}" for folder in folders), *overrides, *sweeper]
+    name = str(node.job.config_name)
+    own = [] if (CONF / f"{name}.yaml").is_file() else [f"--config-name={name}"]
+    return [*(f"--config-dir={folder}" for folder in folders), *own, *overrides, *sweeper]
 
 
 def _announce(
