@@ -189,11 +189,11 @@ def test_each_job_of_a_sweep_leaves_hydras_record(typed: Typed, tmp_path: Path) 
         assert hydra["runtime"]["output_dir"] == str(folder.parent)
 
 
-def test_the_record_of_a_sweep_in_its_root_has_the_sweeper(typed: Typed, tmp_path: Path) -> None:
-    params = "hydra.sweeper.params={seed: 'range(2)'}"
-    assert typed("-m", params, f"hydra.sweep.dir={tmp_path}", "sweep.workers=1").code == 0
+def test_the_record_of_a_sweep_in_its_root_has_hydras_words(typed: Typed, tmp_path: Path) -> None:
+    params, place = "hydra.sweeper.params={seed: 'range(2)'}", f"hydra.searchpath=[{tmp_path}]"
+    assert typed("-m", params, place, f"hydra.sweep.dir={tmp_path}", "sweep.workers=1").code == 0
     (words,) = sweep_commands(tmp_path / "runs")
-    assert words[4:] == [*TINY, f"root={tmp_path / 'runs'}", f"++{params}"]
+    assert words[4:] == [*TINY, f"root={tmp_path / 'runs'}", f"++{params}", place]
 
 
 def test_the_record_of_a_sweep_in_its_root_has_its_own_configuration(

@@ -31,8 +31,8 @@ from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 from experiments.app.working import State
 
-SWEEPER = ("hydra/sweeper", "hydra.sweeper")
-"""Beginnings of overrides that choose the jobs of a sweep."""
+RECORDED = ("hydra/sweeper", "hydra.sweeper", "hydra.searchpath", "hydra.job.env_set")
+"""Beginnings of overrides of Hydra that change the runs of a sweep."""
 IN_A_SWEEP = {
     "problems": "problem=NAME",
     "methods": "optimizer=NAME,NAME",
@@ -235,10 +235,10 @@ def typed(node: HydraConf) -> list[str]:
     here = Path.cwd()
     folders = [path.relative_to(here) if path.is_relative_to(here) else path for path in folders]
     overrides = [x for x in as_typed(node.overrides.task) if not _is_of(x, ("fresh", "sweep"))]
-    sweeper = [x for x in as_typed(node.overrides.hydra) if x.lstrip("+").startswith(SWEEPER)]
+    of_hydra = [x for x in as_typed(node.overrides.hydra) if x.lstrip("+").startswith(RECORDED)]
     name = str(node.job.config_name)
     own = [] if (CONF / f"{name}.yaml").is_file() else [f"--config-name={name}"]
-    return [*(f"--config-dir={folder}" for folder in folders), *own, *overrides, *sweeper]
+    return [*(f"--config-dir={folder}" for folder in folders), *own, *overrides, *of_hydra]
 
 
 def _announce(
