@@ -69,10 +69,10 @@ def _labelled(names: pd.Series, within: Sequence[pd.Series], settings: pd.DataFr
 
 
 def _label(name: str, columns: Sequence[str], settings: Mapping[Any, Any]) -> str:
-    lasts = [column.rpartition(".")[2] for column in columns]
+    short = [column.partition(".")[2] or column for column in columns]  # without the group
     parts = [
-        f"{last if lasts.count(last) == 1 else column}={shown(settings[column])}"
-        for column, last in zip(columns, lasts, strict=True)
+        f"{key if short.count(key) == 1 else column}={shown(settings[column])}"
+        for column, key in zip(columns, short, strict=True)
     ]
     return f"{name} {', '.join(parts)}" if parts else name
 

@@ -39,10 +39,10 @@ def test_settings_that_differ_are_told() -> None:
     assert runs.curves["optimizer"].unique().tolist() == runs.runs["optimizer"].tolist()
 
 
-def test_settings_of_one_last_word_are_told_in_full() -> None:
+def test_bounds_in_names_have_their_parameters() -> None:
     runs = swept({"space": {"B": {"high": 1}, "C": {"high": 1}}},
                   {"space": {"B": {"high": 2}, "C": {"high": 3}}})  # fmt: skip
-    assert runs.runs["optimizer"][1] == "miho space.B.high=2, space.C.high=3"
+    assert runs.runs["optimizer"][1] == "miho B.high=2, C.high=3"
 
 
 def test_other_data_are_another_problem_and_other_code_another_method() -> None:

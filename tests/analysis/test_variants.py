@@ -59,9 +59,9 @@ def test_curves_on_a_grid_and_targets_carry_the_settings() -> None:
         assert table["id"].nunique() == 5
 
 
-def test_ambiguous_last_words_are_told_in_full() -> None:
+def test_a_bound_in_a_name_has_its_parameter() -> None:
     runs, _ = frames({"miho": [[(1.0, 2.0)]] * 2})
     runs["space.B.high"], runs["space.C.high"] = [1.0, 2.5], [None, "x"]
     assert named_apart(runs)["optimizer"].tolist() == [
-        "miho space.B.high=1, space.C.high=-", "miho space.B.high=2.5, space.C.high=x"
+        "miho B.high=1, C.high=-", "miho B.high=2.5, C.high=x"
     ]  # fmt: skip
