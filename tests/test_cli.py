@@ -266,7 +266,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         "is a list; choose one option, or sweep: -m dataset=tire_lf,tire_rf",
     ),
     "a list in a sweep": (["-m", "dataset=[tire_lf,tire_rf],tire_rr"], "is a list; choose one"),
-    "a number with decimals in a sweep": (["-m", "seed=1.0,2"], "seed: is 1.0; expected a whole n"),
+    "a number with decimals in a sweep": (["-m", "seed=1.0,2"], "seed: is '1.0,2'; expected a who"),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
     "a shell's brackets": (
         ["dataset.units={a: m/s^2}"],

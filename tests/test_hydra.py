@@ -166,6 +166,13 @@ def test_a_single_run_leaves_hydras_record(typed: Typed) -> None:
     assert "hydra" in yaml.safe_load(overrides.with_name("hydra.yaml").read_text())
 
 
+def test_seed_and_workers_may_be_variables(typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TASK", "2")
+    ended = typed("-m", "seed=${oc.env:TASK}", "sweep.workers=${oc.env:TASK}")
+    assert ended.code == 0, ended.err
+    assert load_runs(ended.root).runs["seed"].tolist() == [2]
+
+
 def test_values_of_hydra_are_those_of_the_job(typed: Typed) -> None:
     name = "method=${hydra:runtime.choices.optimizer}_${hydra:job.num}"
     ended = typed("-m", "optimizer=random,pso_100", name, tiny=False)

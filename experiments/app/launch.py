@@ -42,6 +42,8 @@ IN_A_SWEEP = {
 """Settings of an arena, and an override of a sweep that takes their place."""
 COMPOSING, MANY = "composing the settings of the sweep, about 0.1 s each", 20
 """A line, and the number of settings after which it is printed."""
+SEED = re.compile(r"seed=\d+", re.ASCII)
+"""An override of the seed; Hydra composes others, such as `seed=${oc.env:NAME}`."""
 WHOLE = ("fresh", "sweep", "tracking")
 """Keys of the execution, which all jobs share."""
 HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
@@ -172,14 +174,12 @@ def _refuse_arena(config: DictConfig) -> None:
 
 
 def _setting(texts: Sequence[str]) -> tuple[str, ...]:
-    return tuple(text for text in texts if not text.startswith("seed="))
+    return tuple(text for text in texts if not SEED.fullmatch(text))
 
 
 def _job(number: int, texts: Sequence[str]) -> _Job:
-    seeds = [text.partition("=")[2] for text in texts if text.startswith("seed=")]
-    if seeds and not seeds[-1].isdecimal():
-        raise ConfigError(f"seed: is {seeds[-1]}; expected a whole number of at least 0")
-    return _Job(number, tuple(texts), _setting(texts), int(seeds[-1]) if seeds else None)
+    seeds = [int(text[5:]) for text in texts if SEED.fullmatch(text)]
+    return _Job(number, tuple(texts), _setting(texts), seeds[-1] if seeds else None)
 
 
 def _planned(
@@ -198,8 +198,7 @@ def _planned(
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
         alike: dict[str, dict[int, Settings]] = {}  # by job; ${seed} and ${hydra:...} make groups
         for job in (job for job in jobs if job.setting == setting):
-            _of_job(job, config)
-            cfg.seed = cfg.seed if job.seed is None else job.seed
+            cfg.seed = _of_job(job, config).seed
             whole = plain(cfg)
             alike.setdefault(str({**whole, "seed": None}), {})[job.number] = whole
         for wholes in alike.values():

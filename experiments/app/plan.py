@@ -142,6 +142,9 @@ def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
     """Checked settings of `sweep`; raises ConfigError."""
     settings = SweepConfig(**{str(key): value for key, value in given.items()})
     workers = settings.workers
+    if isinstance(workers, str) and workers.isdecimal():  # of ${oc.env:NAME}
+        workers = int(workers)
+        settings = replace(settings, workers=workers)
     if is_address(workers):
         _check_workers(workers)
     elif isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
