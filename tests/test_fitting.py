@@ -810,6 +810,22 @@ def test_from_a_start_a_simulation_is_tried_out_near_it() -> None:
     assert 5 < max(seen) < 100
 
 
+def test_rounding_is_relative_to_the_weighted_output() -> None:
+    """Rates of a reaction from 300 K to 900 K span 14 decades; each has an error of 3 %."""
+
+    def rate(T, A, E):
+        return A * np.exp(-E / (8.314 * T))
+
+    T = np.linspace(300, 900, 25)
+    k = rate(T, 1e13, 1.2e5) * (1 + 0.03 * np.random.default_rng(3).standard_normal(25))
+    bounds = {"A": {"low": 1e5, "high": 1e20, "scale": "log"}, "E": (1e4, 3e5)}
+    fit = miho.fit(rate, T, k, bounds, sigma=0.03 * k)
+    assert "zero to rounding" not in fit.optimum
+    assert not any("reproduced to rounding" in note for note in fit.report(profiles=False).notes)
+    weights = fit.problem.weights
+    assert fit.problem.resolution < 1e-12 * np.mean((weights * k) ** 2)
+
+
 def test_an_error_far_below_the_offset_is_shown_and_is_not_rounding() -> None:
     """Milliseconds of a clock in seconds: an error of 1e-12 of the output, or 8000 roundings."""
     fit = miho.fit(

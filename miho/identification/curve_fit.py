@@ -200,16 +200,26 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def rounding(self) -> float:
         """Largest loss that is rounding and counts as 0, in the output's unit squared."""
-        return (ROUNDING * EPSILON) ** 2 * float(np.mean(self._output**2))
+        return (ROUNDING * EPSILON) ** 2 * self._mean(self._output**2)
 
     @cached_property
+    def variance(self) -> float:
+        """Variance of the output, weighted as the loss."""
+        return self._mean((self._output - self._mean(self._output)) ** 2)
+
+    @property
     def resolution(self) -> float:
         """Difference below which two losses count as equal, in the output's unit squared.
 
         A fit that explains nothing has a loss as large as the variance of the output; at that size
         a difference below EPSILON of the variance is rounding.
         """
-        return max(EPSILON * float(np.var(self._output)), self.rounding)
+        return max(EPSILON * self.variance, self.rounding)
+
+    def _mean(self, values: Array) -> float:
+        """The mean of `values` (N,), weighted as the loss."""
+        squares = None if self.weights is None else self.weights**2
+        return float(np.average(values, weights=squares))
 
     @cached_property
     def inputs(self) -> tuple[Array, ...]:

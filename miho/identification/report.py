@@ -373,7 +373,7 @@ class Report:
 
 def rounding_of(problem: CurveFit) -> float:
     """The largest error, in the unit of the output, that counts as rounding."""
-    spread = float(np.std(problem.dataset[problem.dataset.output]))
+    spread = math.sqrt(problem.variance)
     return max(ROUNDING * spread, math.sqrt(problem.rounding))  # an offset may be far larger
 
 
