@@ -341,6 +341,13 @@ def test_a_model_without_a_value_near_the_start_is_not_blamed_on_a_row() -> None
         miho.fit(lambda t, a, b: a * np.log(b * t + 1e-3), t, y, start={"a": 1, "b": -1})
 
 
+def test_a_model_may_have_values_in_a_hundredth_of_its_box() -> None:
+    """Some rows have no value at the first trials; the root is real for b below 0.5."""
+    root = 3 * np.sqrt(1 - 0.4 * t)
+    fit = miho.fit(lambda t, a, b: a * np.sqrt(1 - b * t), t, root, {"a": (0, 9), "b": (0, 50)})
+    assert fit.values == pytest.approx({"a": 3, "b": 0.4})
+
+
 def test_a_pandas_column_gives_the_output_its_name() -> None:
     fit = miho.fit(decay, t, pd.Series(y, name="voltage"), BOX, compiled=False)
     assert fit.plot().axes[0].get_ylabel() == "voltage"

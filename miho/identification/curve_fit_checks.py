@@ -214,6 +214,11 @@ def _is_finite(problem: CurveFit, model_name: str, thetas: Array) -> bool:
         return False
     never = np.flatnonzero(~np.isfinite(values).any(axis=0))
     if never.size and np.isfinite(values).any():
+        from miho.identification.trial_calls import without_value
+
+        never = without_value(problem, never)
+        if not never.size:
+            return True
         at = ", ".join(
             f"{name} = {column[never[0]]:g}"
             for name, column in zip(model.inputs, problem.inputs, strict=True)

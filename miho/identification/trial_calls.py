@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Iterator
@@ -18,6 +19,8 @@ from miho.quantities import Array
 
 RAISING = 1000
 """A model is refused if it raises at this number of configurations."""
+PATIENCE = 1.0
+"""Seconds for trials to find a value of every row."""
 LINEAR = 1e-9
 """Relative tolerance for the value of a linear model halfway: the mean of both ends."""
 
@@ -53,6 +56,17 @@ def usable(problem: CurveFit, model_name: str) -> Array | None:
             raise ValueError(f"{model_name}.predict gives shape {actual}; expected {expected}")
         return None
     raise failures[0]
+
+
+def without_value(problem: CurveFit, rows: Array) -> Array:
+    """Those of the `rows` (k,) that are not finite at any of as many trials as end in a second."""
+    started = time.perf_counter()
+    for theta in _trials(problem.space):
+        with contextlib.suppress(Exception):  # a model may raise on a part of the box
+            rows = rows[~np.isfinite(problem.model.predict(theta[None], *problem.inputs)[0, rows])]
+        if not rows.size or time.perf_counter() - started > PATIENCE:
+            break
+    return rows
 
 
 def check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
