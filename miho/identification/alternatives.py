@@ -137,7 +137,7 @@ def excess(problem: CurveFit, at: Linearised, level: float) -> float:
 def _roughly(problem: CurveFit, optimum: Refit) -> tuple[float, int]:
     """The variance of the errors and its degrees of freedom, without derivatives."""
     freedom = max(len(problem.dataset) - len(problem.space), 1)
-    if problem.scale is not None and problem.sigma_known:
+    if problem.noise_known and problem.scale is not None:
         return problem.scale**2, freedom
     return optimum.cost / freedom, freedom
 

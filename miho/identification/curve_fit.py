@@ -238,6 +238,11 @@ class CurveFit(Remade, LeastSquaresProblem):
         sigma = self.dataset[self.sigma] if isinstance(self.sigma, str) else np.array([self.sigma])
         return float(1 / np.sqrt(np.mean(1 / sigma**2)))
 
+    @property
+    def noise_known(self) -> bool:
+        """Whether sigma is the deviation of all errors; a robust loss expects larger ones."""
+        return self.scale is not None and self.sigma_known and self._square
+
     @cached_property
     def weights(self) -> Array | None:
         """Weights of the residuals, (N,), of mean square 1; None if all are equal."""

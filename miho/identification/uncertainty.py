@@ -284,7 +284,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
         at_bound=at_bound,
         null_directions=root.null,
         unidentifiable=np.asarray(root.moved.any(axis=0)),
-        noise_known=problem.scale is not None and problem.sigma_known,
+        noise_known=problem.noise_known,
     )
     if not neighbours or events or problem.prior is not None:
         return at
@@ -335,7 +335,7 @@ def _variance(
 ) -> tuple[float, int]:
     """The variance of the errors and its degrees of freedom, for `count` free parameters."""
     freedom = psi.size - count
-    if problem.scale is not None and problem.sigma_known:
+    if problem.noise_known and problem.scale is not None:
         return problem.scale**2, freedom
     if problem.prior is None:
         return float(psi @ psi) / freedom / stiffness**2, freedom

@@ -13,6 +13,7 @@ from miho.identification import CurveFit, Huber, linearised
 from miho.identification.bootstrap import bootstrap, percentile_intervals
 from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import refit
+from miho.identification.residuals import Square
 from tests.identification.published import Line as LineModel
 from tests.identification.published import line, misra1a, problem, puromycin
 
@@ -162,6 +163,19 @@ def test_the_robust_optimum_and_its_standard_error() -> None:
     )  # fmt: skip
     np.testing.assert_allclose(theta, scipys.x, rtol=1e-5)
     assert np.std(estimates) == pytest.approx(np.mean(errors), rel=0.16)
+
+
+def test_intervals_of_a_robust_loss_follow_from_the_errors_if_sigma_is_known() -> None:
+    """Sigma belongs to the good rows alone; outliers add to the spread of the estimates."""
+    rng = np.random.default_rng(0)
+    x = np.linspace(0, 1, 100)
+    noise = 0.1 * rng.standard_normal(100) * np.where(np.arange(100) % 10, 1, 30)
+    robust = line(1 + x + noise, x, Huber(0.13))
+    theta = refit(robust, np.ones(2)).theta
+    known = linearised(replace(robust, sigma=0.1), theta)
+    np.testing.assert_allclose(known.covariance, linearised(robust, theta).covariance)
+    clean = linearised(replace(robust, rho=Square(), sigma=0.1), theta)
+    assert np.all(known.standard_errors > 1.1 * clean.standard_errors)
 
 
 def test_rows_of_one_event_are_not_independent() -> None:
