@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
@@ -39,6 +38,8 @@ def check_curve_fit(problem: CurveFit, expensive: bool = False) -> None:
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
     if problem.space.names != tuple(model.parameters):
+        from miho.identification.ties import space_mismatch
+
         raise ValueError(space_mismatch(model, problem.space.names))
     if model.ordered and dataset.held_out is not None and not expensive:  # may be unknown yet
         raise ValueError(f"{model_name} needs every row in order; expected no held-out rows")
@@ -153,30 +154,6 @@ def with_defaults(space: Space, model: Model) -> Space:
     return replace(space, parameters=(*space.parameters, *fixed)).in_order(model.parameters)
 
 
-def space_mismatch(model: Model, declared: Sequence[str]) -> str:
-    """The message on a space without the parameters of the model in the order of the model."""
-    needed = list(model.parameters)
-    lacking = [name for name in needed if name not in declared]
-    surplus = [name for name in declared if name not in needed]
-    differences = [f"lacks {', '.join(lacking)}"] * bool(lacking)
-    differences += [f"also has {', '.join(surplus)}"] * bool(surplus)
-    if not differences:
-        differences = [f"has them in the order {', '.join(declared)}"]
-    remedy = "give it these parameters, or choose a space that has them"
-    return (
-        f"model {model.name or type(model).__name__} needs the parameters {', '.join(needed)}; the "
-        f"space {' and '.join(differences)}; {remedy}{constants_of(model) * bool(surplus)}"
-    )
-
-
-def constants_of(model: Model) -> str:
-    """The remedy for bounds of a constant, which only functions of a `Trajectory` have."""
-    from miho.models.trajectory import Trajectory
-
-    remedy = "; a constant of its functions becomes a parameter without its default value"
-    return remedy * isinstance(model, Trajectory)
-
-
 def _check_output_size(problem: CurveFit) -> None:
     """Refuse an output whose squares overflow or underflow."""
     largest = float(np.abs(problem.dataset[problem.dataset.output]).max(initial=0.0))
@@ -214,20 +191,9 @@ def _is_finite(problem: CurveFit, model_name: str, thetas: Array) -> bool:
         return False
     never = np.flatnonzero(~np.isfinite(values).any(axis=0))
     if never.size and np.isfinite(values).any():
-        from miho.identification.trial_calls import without_value
+        from miho.identification.trial_calls import check_rows
 
-        never = without_value(problem, never)
-        if not never.size:
-            return True
-        at = ", ".join(
-            f"{name} = {column[never[0]]:g}"
-            for name, column in zip(model.inputs, problem.inputs, strict=True)
-        )
-        remedy = "take shorter steps" if model.ordered else "remove the row"
-        raise ValueError(
-            f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}) in "
-            f"any trial of the space; change the bounds or the start, {remedy} or correct the model"
-        )
+        check_rows(problem, model_name, never)
     return True
 
 

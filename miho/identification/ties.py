@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from miho.identification.curve_fit_checks import constants_of, space_mismatch
 from miho.models.model import Model
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties
@@ -76,3 +77,27 @@ def _check_limits(ties: Ties, free: Space) -> None:
             f"space: none of {DRAWN:,} configurations keeps {', '.join(ties.limits)} within their "
             "ranges; widen a range"
         )
+
+
+def space_mismatch(model: Model, declared: Sequence[str]) -> str:
+    """The message on a space without the parameters of the model in the order of the model."""
+    needed = list(model.parameters)
+    lacking = [name for name in needed if name not in declared]
+    surplus = [name for name in declared if name not in needed]
+    differences = [f"lacks {', '.join(lacking)}"] * bool(lacking)
+    differences += [f"also has {', '.join(surplus)}"] * bool(surplus)
+    if not differences:
+        differences = [f"has them in the order {', '.join(declared)}"]
+    remedy = "give it these parameters, or choose a space that has them"
+    return (
+        f"model {model.name or type(model).__name__} needs the parameters {', '.join(needed)}; the "
+        f"space {' and '.join(differences)}; {remedy}{constants_of(model) * bool(surplus)}"
+    )
+
+
+def constants_of(model: Model) -> str:
+    """The remedy for bounds of a constant, which only functions of a `Trajectory` have."""
+    from miho.models.trajectory import Trajectory
+
+    remedy = "; a constant of its functions becomes a parameter without its default value"
+    return remedy * isinstance(model, Trajectory)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import TRIALS
@@ -58,15 +59,24 @@ def usable(problem: CurveFit, model_name: str) -> Array | None:
     raise failures[0]
 
 
-def without_value(problem: CurveFit, rows: Array) -> Array:
-    """Those of the `rows` (k,) that are not finite at any of as many trials as end in a second."""
-    started = time.perf_counter()
+def check_rows(problem: CurveFit, model_name: str, rows: NDArray[np.intp]) -> None:
+    """Refuse the model if one of the `rows` (k,) has no value at as many trials as end in time."""
+    model, inputs, started = problem.model, problem.inputs, time.perf_counter()
     for theta in _trials(problem.space):
         with contextlib.suppress(Exception):  # a model may raise on a part of the box
-            rows = rows[~np.isfinite(problem.model.predict(theta[None], *problem.inputs)[0, rows])]
-        if not rows.size or time.perf_counter() - started > PATIENCE:
+            rows = rows[~np.isfinite(model.predict(theta[None], *inputs)[0, rows])]
+        if not rows.size:
+            return
+        if time.perf_counter() - started > PATIENCE:
             break
-    return rows
+    at = ", ".join(
+        f"{name} = {column[rows[0]]:g}" for name, column in zip(model.inputs, inputs, strict=True)
+    )
+    remedy = "take shorter steps" if model.ordered else "remove the row"
+    raise ValueError(
+        f"{model_name} is not finite at {at} (row {rows[0] + 1} of {problem.dataset.name}) in any "
+        f"trial of the space; change the bounds or the start, {remedy} or correct the model"
+    )
 
 
 def check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
