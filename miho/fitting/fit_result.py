@@ -326,7 +326,13 @@ class Fit(Remade):
         if signed is not None:
             signed.check_signs(inputs)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
-        value, reach = self._band(*columns)
+        if not self.problem.model.ordered:
+            value, reach = self._band(*columns)
+        else:
+            from miho.models.time_step import finer
+
+            more, rows = finer(self.problem.model.whole, self.problem.inputs, columns)
+            value, reach = (values[rows] for values in self._band(*more))
         return Prediction(value, value - reach, value + reach)
 
     def to_tir(self, path: str | os.PathLike[str]) -> None:

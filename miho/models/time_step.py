@@ -1,12 +1,15 @@
-"""Check that the time step of a simulation is small enough for the precision of the data."""
+"""Time steps of a simulation that are small enough, for the precision of data and predictions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from miho.models.model import Model
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -15,8 +18,50 @@ if TYPE_CHECKING:
 
 NOTICEABLE = 0.25
 """Largest error of the solver that is not reported, in standard errors of a parameter."""
+TOLERANCE = 1e-9
+"""Relative rounding of the length of a step."""
 ROUNDING = 1e-11
 """Noise below this fraction of the largest output is rounding: the model itself made the data."""
+
+MOST = 1_000_000
+"""Largest number of steps of a prediction."""
+
+
+def finer(
+    model: Model, measured: Sequence[Array], columns: Sequence[Array]
+) -> tuple[Sequence[Array], NDArray[np.intp]]:
+    """Columns (M,) of a simulation with steps as short as those of the data, and the rows asked.
+
+    Between the rows of the `columns` (N,) there are further rows with the inputs that the model
+    assumes there. Without inputs, the motion starts at the first time of the `measured` columns.
+    """
+    from miho.models.trajectory import Trajectory
+
+    data, t, every = measured[0], columns[0], np.arange(columns[0].size)
+    if not isinstance(model, Trajectory) or model.restart or model.segments > 1:
+        return columns, every
+    if len(columns) > 1 + len(model.driven) or data.size < 2 or not np.all(np.diff(t) > 0):
+        return columns, every
+    start = t[:1]
+    if not model.driven:
+        start = data[:1]
+        if t[0] < start[0]:
+            raise ValueError(
+                f"{model.time} is {t[0]:g}, before the start of the motion at {start[0]:g}"
+            )
+    at = np.union1d(np.append(start, t), data[(data > start[0]) & (data < t[-1])])
+    parts = np.ceil(np.diff(at) / np.diff(data).max() * (1 - TOLERANCE))
+    if not parts.sum() < MOST:
+        raise ValueError(
+            f"{model.time} reaches {t[-1]:g}, {parts.sum():g} steps of the longest in the data; "
+            f"expected at most {MOST:,}"
+        )
+    ends = np.append(0, np.cumsum(parts))
+    at = np.interp(np.arange(ends[-1] + 1), ends, at)
+    before = np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
+    linear = model.interpolation == "linear"
+    inputs = [np.interp(at, t, u) if linear else u[before] for u in columns[1:]]
+    return [at, *inputs], np.searchsorted(at, t)
 
 
 def time_step_remarks(

@@ -449,6 +449,31 @@ def test_a_part_of_a_joint_fit_may_diverge_far_from_the_optimum() -> None:
         miho.fit(decay, t, x, {"k": (300, 400)})
 
 
+def test_a_prediction_takes_steps_as_short_as_the_data_and_starts_where_they_start() -> None:
+    t = np.linspace(1, 6, 51)
+    decay = Trajectory(lambda x, *, k: -k * x, {"x": 1.0}, ["x"])
+    fit = miho.fit(decay, t, np.exp(-2 * (t - 1)), {"k": (0.1, 10)})
+    for times in ([1, 6, 11], [5, 7], [4]):
+        value = fit.predict(times).value
+        np.testing.assert_allclose(value, np.exp(-2 * (np.array(times) - 1)), rtol=1e-4)
+    with pytest.raises(ValueError, match="t is 0, before the start of the motion at 1"):
+        fit.predict([0, 2])
+    with pytest.raises(ValueError, match=r"1e\+09 steps of the longest in the data; expected at m"):
+        fit.predict([1e8])
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "hold"])
+def test_a_prediction_has_the_inputs_between_its_rows(interpolation: str) -> None:
+    t = np.linspace(0, 6, 61)
+    model = Trajectory(lambda x, u, *, k: u - k * x, {"x": 1.0}, ["x"], interpolation=interpolation)
+    u = np.interp(t, t[::20], [0, 3, 1, 2])
+    if interpolation == "hold":
+        u = np.repeat([0, 3, 1, 2.0], 20)[:61]
+    fit = miho.fit(model, (t, u), model.predict(np.array([[2.0]]), t, u)[0], {"k": (0.1, 10)})
+    every, some = fit.predict((t, u)).value, fit.predict((t[::20], u[::20])).value
+    np.testing.assert_allclose(some, every[::20], rtol=1e-9)
+
+
 def test_a_simulation_with_inputs_is_drawn_over_time() -> None:
     model = Trajectory(lambda x, u, *, k: k * (u - x), {"x": 0.0}, ["x"])
     t = np.linspace(0, 5, 51)
