@@ -89,6 +89,23 @@ class Batch:
             )
         return np.where(self.real[which], values - self.outputs[which], 0.0)
 
+    def screened(self, count: int, best: int) -> Array:
+        """The `best` of `count` common starting points for each dataset, (best, M, d).
+
+        There are none if the datasets have different inputs, because each would need evaluations.
+        """
+        thetas = self.space.decode(self.space.initial(count))
+        if not self._alike:
+            return np.empty((0, len(self.rows), len(self.space)))
+        values = np.concatenate([self._predicted(t[None], self.columns[:, 0]) for t in thetas])
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = [
+                np.sum(values**2, axis=1) - 2 * self.outputs[chunk] @ values.T
+                for chunk in self.chunks(np.arange(len(self.rows)))
+            ]
+        order = [np.argsort(np.nan_to_num(each, nan=np.inf), axis=1)[:, :best] for each in squares]
+        return thetas[np.concatenate(order).T]
+
     def _predicted(self, thetas: Array, columns: Array) -> Array:
         """Values (n, N) of the model; NaN for each configuration at which it raises ValueError."""
         try:

@@ -35,6 +35,8 @@ from the optima of these searches."""
 CHECKED = 20
 """Number of datasets that are searched longer afterwards, to check the others: if a tenth of all
 missed the optimum, one of 20 shows it nine times in ten."""
+SCREENED, BEST = 512, 3
+"""Common starting points of datasets with the same inputs, and how many a dataset descends from."""
 BETTER = 1e-6
 """Relative decrease from which a sum of squares counts as lower."""
 SLOW = 2.0
@@ -61,7 +63,8 @@ def fit_many(
     Formulas and other models are treated differently. Each dataset of a formula descends from the
     best of common starting points, bracket after bracket, until the descents agree. For other
     models a few datasets are searched, and the others descend from the best of the optima found
-    there, then again from the best of other datasets' optima. Some datasets are then searched
+    there, then again from the best of other datasets' optima and, if all have the same inputs, of
+    common starting points. Some datasets are then searched
     longer, to check the others. With a `start`, each dataset descends from it, without a check.
 
     Parameters
@@ -214,6 +217,8 @@ def _by_numpy(
     ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
     worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, count // SEARCHED)]
     ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
+    for starts in batch.screened(SCREENED, BEST):
+        ends = ends.better_of(descend(batch, everyone, starts[None], progress))
     which, better = _to_check(count, seed), 0
     for k in which:
         theta = search(int(k))
