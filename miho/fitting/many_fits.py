@@ -64,8 +64,9 @@ def fit_many(
     best of common starting points, bracket after bracket, until the descents agree. For other
     models a few datasets are searched, and the others descend from the best of the optima found
     there, then again from the best of other datasets' optima and, if all have the same inputs, of
-    common starting points. Some datasets are then searched
-    longer, to check the others. With a `start`, each dataset descends from it, without a check.
+    common starting points. Some datasets are then searched longer, to check the others; if that
+    finds better optima, all descend from these too. With a `start`, each dataset descends from it,
+    without a check.
 
     Parameters
     ----------
@@ -174,7 +175,8 @@ def fit_many(
         unsure = f"; the {others:,} others may have better optima too" if others else ""
         warnings.warn(
             f"a longer search of {counts['checked']} datasets found a better optimum for "
-            f"{counts['better']} of them, which the table has now{unsure}; narrow the bounds",
+            f"{counts['better']} of them, from which all have descended now{unsure}; narrow the "
+            "bounds",
             UserWarning,
             stacklevel=2,
         )
@@ -196,6 +198,10 @@ def _by_machine(
     optima = fits.search(everyone, (seed, 0), progress)
     which = _to_check(len(everyone), seed)
     better = checked(fits, optima, which, seed, BETTER)
+    if len(better):
+        others = fits.descend(everyone, optima.thetas[better][None], progress)
+        lower = np.flatnonzero(others.squares < (1 - BETTER) * optima.squares)
+        optima.put(lower, others.some(lower))
     return optima.ends, fits.covariance(optima), {"checked": len(which), "better": len(better)}
 
 
@@ -219,14 +225,16 @@ def _by_numpy(
     ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
     for starts in batch.screened(SCREENED, BEST):
         ends = ends.better_of(descend(batch, everyone, starts[None], progress))
-    which, better = _to_check(count, seed), 0
+    which, better = _to_check(count, seed), list[Array]()
     for k in which:
         theta = search(int(k))
         squares = float(batch.squares(batch.residuals(theta[None], np.array([k])))[0])
         if squares < (1 - BETTER) * ends.squares[k]:
-            better += 1
+            better.append(theta)
             ends.thetas[k], ends.squares[k], ends.converged[k] = theta, squares, True
-    return ends, batch.covariance(ends), {"checked": len(which), "better": better}
+    if better:
+        ends = ends.better_of(descend(batch, everyone, np.array(better), progress))
+    return ends, batch.covariance(ends), {"checked": len(which), "better": len(better)}
 
 
 def _to_check(count: int, seed: int) -> NDArray[np.intp]:
