@@ -13,8 +13,9 @@ from miho.identification.curve_fit_checks import LARGEST
 from miho.models.model import Model
 from miho.quantities import Array
 
-Candidates = pd.DataFrame | Dataset | Mapping[str, Array]
-"""Rows that could be measured, or levels of each input, whose combinations are the rows."""
+Candidates = pd.DataFrame | Dataset | Mapping[str, Array] | Array
+"""Rows that could be measured, or levels of each input, whose combinations are the rows; an array
+has the levels of a single input."""
 
 
 def candidate_rows(model: Model, candidates: Candidates) -> pd.DataFrame:
@@ -30,6 +31,8 @@ def candidate_rows(model: Model, candidates: Candidates) -> pd.DataFrame:
     elif isinstance(candidates, pd.DataFrame):
         frame = candidates.reset_index(drop=True)
     else:
+        if not isinstance(candidates, Mapping):  # levels of the first input
+            candidates = {next(iter(model.inputs)): candidates}
         levels = [np.ravel(np.asarray(values)) for values in candidates.values()]
         grid = np.meshgrid(*levels, indexing="ij")
         frame = pd.DataFrame(dict(zip(candidates, map(np.ravel, grid), strict=True)))

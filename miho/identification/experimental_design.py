@@ -210,9 +210,9 @@ def optimal_design(
     ----------
     report : Report or Fit
         The report on the present data, or a fit, whose report is made.
-    candidates : DataFrame, Dataset or mapping of str to array_like
+    candidates : DataFrame, Dataset, mapping of str to array_like, or array_like
         Possible rows with all inputs of the model, in its units. A mapping gives the levels of each
-        input, and every combination is a candidate.
+        input, and every combination is a candidate. An array has the levels of a single input.
     size : int
         Number of rows to choose, or of groups with `groups`.
     goal : str, optional

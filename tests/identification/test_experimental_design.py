@@ -93,7 +93,7 @@ def test_michaelis_menten_is_measured_at_two_concentrations() -> None:
     report = quick(puromycin(), [212.7, 0.0641])
     K, s = report.at.theta[1], 2.0
     levels = np.geomspace(0.01, s, 533)
-    design = optimal_design(report, {"x": levels}, 2000, repeats=2000)
+    design = optimal_design(report, levels, 2000, repeats=2000)
     values, counts = np.unique(design.chosen["x"], return_counts=True)
     assert values[-1] == s
     np.testing.assert_allclose(values[:-1], K * s / (2 * K + s), rtol=0.015)
