@@ -739,8 +739,10 @@ def test_sizes_and_signs_that_are_stated_are_taken() -> None:
 
 
 def test_bounds_without_names_are_refused() -> None:
-    with pytest.raises(ValueError, match="expected them by name"):
-        miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), [(0, 1)])  # type: ignore[arg-type]
+    for bounds in ([(0, 1)], pd.DataFrame({"a": [0, 1], "b": [0, 1]})):
+        with pytest.raises(ValueError, match="; give them by name") as refused:
+            miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), bounds)  # type: ignore[arg-type]
+        assert "\n" not in str(refused.value)
     fit = miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), start={"a": 1})
     with pytest.raises(TypeError, match="only a fit of a tire"):
         fit.to_tir("x.tir")

@@ -323,7 +323,7 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
         ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; expected"),
         ((decay, frame, "V", BOX), {"by": frame["run"]}, "by is a Series and y is 'V'; expected"),
         ((decay, t, {"p": y[0]}, BOX), {}, "y is a dict; expected an array"),
-        ((decay, t, y, [(0, 5)] * 3), {}, "bounds are .*; expected them by name"),
+        ((decay, t, y, [(0, 5)] * 3), {}, "bounds are of type list; give them by name"),
         ((decay, t, y, BOX), {"seed": None}, "seed is None; expected a whole number"),
         ((decay, t[:7], y, BOX), {}, "x has 7 rows and y has 50"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),

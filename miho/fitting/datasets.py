@@ -28,7 +28,8 @@ EXTREME = 5
 def check_bounds(space: object) -> None:
     """Raise ValueError unless bounds are given by name."""
     if not isinstance(space, Mapping | Space | None):
-        raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
+        kind = type(space).__name__
+        raise ValueError(f"bounds are of type {kind}; give them by name, as in {{'a': (0, 10)}}")
 
 
 class Groups:

@@ -172,7 +172,8 @@ def fit(
 
         model, space, start = model_from(model, x, y, space or (), start, fixed, tied)
     if isinstance(space, Collection) and not isinstance(space, Mapping | Space):
-        raise ValueError(f"bounds are {space!r}; expected them by name, as in {{'a': (0, 10)}}")
+        kind = type(space).__name__
+        raise ValueError(f"bounds are of type {kind}; give them by name, as in {{'a': (0, 10)}}")
 
     # The data, and the loss of a residual.
     stated = space, tied, start, fixed

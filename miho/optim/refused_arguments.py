@@ -77,7 +77,7 @@ def checked_seed(
         if isinstance(value, type) and issubclass(value, kind) and kind in (Optimizer, Problem):
             raise ValueError(f"{label} is the class {value.__name__}; write {value.__name__}()")
         if not isinstance(value, kind):
-            raise ValueError(f"{label} is {value!r}; expected {expected}")
+            raise ValueError(f"{label} is {value!r:.80}; expected {expected}")
     check_budget(budget)
     whole("seed", seed, 0)
     return int(seed)

@@ -153,6 +153,7 @@ def test_a_failing_method_is_an_outcome_with_its_traceback() -> None:
     ("changed", "message"),
     [
         ({"optimizer": "miho_qn"}, r"optimizer is 'miho_qn'; expected a method, .* miho\.MIHOGN"),
+        ({"optimizer": "m" * 999}, "optimizer is 'm{79}; expected a method"),
         ({"optimizer": MIHO}, r"optimizer is the class MIHO; write MIHO\(\)"),
         ({"problem": abs}, "problem is <built-in function abs>.* miho.fit takes a function"),
         ({"problem": DecayFit}, "problem is the class DecayFit"),
