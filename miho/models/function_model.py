@@ -42,6 +42,7 @@ COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and the relative tolerance."""
 ARRAY = "; a parameter is one number: name each as an argument, as in f(x, a, b)"
 COPY = "; columns of data are read-only: copy a column before you change it, as in x = x.copy()"
+WHOLE = "; a column is an array: use numpy.exp for math.exp, and numpy.where for if or max"
 PASSED: WeakKeyDictionary[Any, set[tuple[Any, ...]]] = WeakKeyDictionary()
 """Checks that formulas of a function passed, with the bytes of configurations and columns."""
 REMEMBERED, LARGEST = 100, 1 << 16
@@ -293,6 +294,7 @@ class FunctionModel(DifferencedModel):
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         message = " ".join(str(error).split())  # in one line
         hint = COPY * ("read-only" in message) + ARRAY * ("'float' object is not sub" in message)
+        hint += WHOLE * ("truth value of an array" in message or "arrays can be conv" in message)
         return f"{place} raises {type(error).__name__}: {message}{hint}"
 
 

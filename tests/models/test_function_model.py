@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import subprocess
@@ -14,6 +15,7 @@ import cloudpickle
 import numpy as np
 import pytest
 
+import miho
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.schema import register
@@ -118,6 +120,12 @@ def test_nothing_of_the_callers_is_edited_or_handed_out(load: Callable[..., Mode
     assert np.array_equal(thetas, np.ones((2, 1)))
     with pytest.raises(ValueError, match="f raises ValueError: output array is read-only"):
         load(f"{head}t += a\n    return t").predict(thetas, t)
+
+
+@pytest.mark.parametrize("value", ["math.exp(a * t)", "a if t < 1 else t", "max(t, a)"])
+def test_a_function_of_one_row_gets_a_hint(value: str) -> None:
+    with pytest.raises(ValueError, match=r"a column is an array: use numpy\.exp for math\.exp"):
+        miho.fit(eval(f"lambda t, a: {value}", {"math": math}), t, t, {"a": (0, 1)})
 
 
 BAD = {
