@@ -274,6 +274,10 @@ def test_what_takes_the_numbers_away_is_printed_below_the_table() -> None:
         assert all(caveat in fit._repr_html_() for caveat in caveats)
     few = miho.fit(decay, t[:2], y[:2], BOX, compiled=False)
     assert "- there are no standard errors: " in str(few)
+    value, low, high = few.predict(t[:2])
+    np.testing.assert_allclose(value, y[:2])
+    assert np.isnan([low, high]).all()
+    assert few.plot().axes
 
 
 def test_a_fit_is_pickled_printed_and_drawn() -> None:

@@ -314,7 +314,8 @@ class Fit(Remade):
         Returns
         -------
         Prediction
-            `value`, `low` and `high`, (N,) each, in the unit of the output.
+            `value`, `low` and `high`, (N,) each, in the unit of the output. The ends are NaN if
+            there are no more rows than parameters.
 
         Raises
         ------
@@ -361,7 +362,12 @@ class Fit(Remade):
 
     def _band(self, *columns: Array) -> tuple[Array, Array]:
         """Curve at input columns (N,), and the half width of its interval."""
-        return self.uncertainty.band(self.problem.model, self.level, *columns)
+        try:
+            at = self.uncertainty
+        except ValueError:  # as many parameters as rows
+            value = self.problem.model.predict(self.theta[None], *columns)[0]
+            return value, np.full(value.shape, np.nan)
+        return at.band(self.problem.model, self.level, *columns)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Plot the data and the curve with its interval.
