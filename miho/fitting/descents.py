@@ -89,7 +89,7 @@ class Batch:
             )
         return np.where(self.real[which], values - self.outputs[which], 0.0)
 
-    def screened(self, count: int, best: int) -> Array:
+    def screened(self, count: int, best: int, progress: Callable[[int], object]) -> Array:
         """The `best` of `count` common starting points for each dataset, (best, M, d).
 
         There are none if the datasets have different inputs, because each would need evaluations.
@@ -97,7 +97,10 @@ class Batch:
         thetas = self.space.decode(self.space.initial(count))
         if not self._alike:
             return np.empty((0, len(self.rows), len(self.space)))
-        values = np.concatenate([self._predicted(t[None], self.columns[:, 0]) for t in thetas])
+        values = np.empty((count, self.outputs.shape[1]))
+        for k, theta in enumerate(thetas):
+            values[k] = self._predicted(theta[None], self.columns[:, 0])[0]
+            progress(0)
         with np.errstate(over="ignore", invalid="ignore"):
             squares = [
                 np.sum(values**2, axis=1) - 2 * self.outputs[chunk] @ values.T

@@ -223,7 +223,7 @@ def _by_numpy(
     ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
     worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, count // SEARCHED)]
     ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
-    for starts in batch.screened(SCREENED, BEST):
+    for starts in batch.screened(SCREENED, BEST, progress):
         ends = ends.better_of(descend(batch, everyone, starts[None], progress))
     which, better = _to_check(count, seed), list[Array]()
     for k in which:
