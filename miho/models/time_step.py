@@ -33,17 +33,17 @@ def finer(
     """Columns (M,) of a simulation with steps as short as those of the data, and the rows asked.
 
     Between the rows of the `columns` (N,) there are further rows with the inputs that the model
-    assumes there. Without inputs, the motion starts at the first time of the `measured` columns.
+    assumes there. With times alone, the motion starts at the first time of `measured` columns.
     """
     from miho.models.trajectory import Trajectory
 
     data, t, every = measured[0], columns[0], np.arange(columns[0].size)
     if not isinstance(model, Trajectory) or model.restart or model.segments > 1:
         return columns, every
-    if len(columns) > 1 + len(model.driven) or data.size < 2 or not np.all(np.diff(t) > 0):
+    if len(model.outputs) > 1 or data.size < 2 or not np.all(np.diff(t) > 0):
         return columns, every
     start = t[:1]
-    if not model.driven:
+    if len(columns) == 1:
         start = data[:1]
         if t[0] < start[0]:
             raise ValueError(

@@ -220,7 +220,7 @@ class Trajectory(Model):
         ]
 
     @cached_property
-    def driven(self) -> dict[str, str]:
+    def _driven(self) -> dict[str, str]:
         """Units of the inputs, without the time."""
         return {k: v for k, v in self._columns.items() if k != self.time and k not in self.states}
 
@@ -230,7 +230,7 @@ class Trajectory(Model):
         measured = [state for state, start in self.states.items() if start == MEASURED]
         return (
             {self.time: self._columns.get(self.time, self.units.get(self.time, "s"))}
-            | self.driven
+            | self._driven
             | {state: self._columns.get(state, NO_UNIT) for state in measured}
             | ({OUTPUT: NO_UNIT} if len(self.outputs) > 1 else {})
         )
@@ -279,7 +279,7 @@ class Trajectory(Model):
             tuple(self.scales) or (1.0,) * len(self.outputs),
             self.time,
             tuple(self.states),
-            tuple(self.driven),
+            tuple(self._driven),
             tuple(self.parameters),
         )
 
@@ -341,7 +341,7 @@ class Trajectory(Model):
     def _layout(self) -> Layout:
         return Layout(
             self.time,
-            tuple(self.driven),
+            tuple(self._driven),
             self.states,
             tuple(self.parameters),
             len(self.outputs),

@@ -472,6 +472,10 @@ def test_a_prediction_has_the_inputs_between_its_rows(interpolation: str) -> Non
     fit = miho.fit(model, (t, u), model.predict(np.array([[2.0]]), t, u)[0], {"k": (0.1, 10)})
     every, some = fit.predict((t, u)).value, fit.predict((t[::20], u[::20])).value
     np.testing.assert_allclose(some, every[::20], rtol=1e-9)
+    measured = replace(model, states={"x": "measured"})
+    fit = miho.fit(measured, {"t": t, "u": u, "x": every}, "x", {"k": (0.1, 10)})
+    some = fit.predict({"t": t[::20], "u": u[::20], "x": every[::20]}).value
+    np.testing.assert_allclose(some, every[::20], rtol=1e-9)
 
 
 def test_a_simulation_with_inputs_is_drawn_over_time() -> None:
