@@ -86,7 +86,7 @@ def draw(
         ]
     )
     alarms = {s.alarm.time: str(s.alarm).replace("_", " ") for s in tracked.states if s.alarm}
-    driver, logs = laps.driver(), {}
+    driver, logs, lost = laps.driver(), {}, []
     for name, drive in drives.items():
         friction = np.array([schedule.at(at) for at in drive["time"]])
         log = pd.DataFrame(
@@ -98,10 +98,10 @@ def draw(
         )
         gone = np.abs(drive["e_y"]) > 10 if drive.stopped else np.zeros(len(drive), dtype=bool)
         logs[name] = log[~np.maximum.accumulate(gone)]
-    note = (
-        "the offline value: the car leaves its line by 10 m in the next turn, where its curve ends"
-    )
+        if gone.any():
+            lost.append(f"{name}: the car leaves its line by 10 m in the next turn, where"
+                        " its curve ends")  # fmt: skip
     save(
-        grip_figure(states, logs, alarms, schedule.time[0], note=note),
+        grip_figure(states, logs, alarms, schedule.time[0], note="; ".join(lost)),
         root / "figures" / "grip_falls",
     )
