@@ -49,7 +49,7 @@ class Drive:
     measured : Mapping[str, ndarray]
         Measured channels of a `DrivingLog`.
     stopped : str
-        Reason of a safe stop, or "".
+        Reason of a safe stop or of an end before the distance, or "".
     """
 
     columns: Mapping[str, Array]
@@ -137,7 +137,10 @@ def simulate(
         if memory.stopped and math.hypot(motion.vx, motion.vy) < STANDING:
             break
     columns = dict(zip(LOGGED, np.array(rows).T, strict=True))
-    return Drive(columns, channels_of(measurements, commands), memory.stopped)
+    stopped = memory.stopped
+    if not stopped and driven < distance:
+        stopped = f"at the time limit of {longest:g} s, after {driven:.0f} of {distance:g} m"
+    return Drive(columns, channels_of(measurements, commands), stopped)
 
 
 def _row(motion: Motion, memory: DriverState, driven: float) -> list[float]:
