@@ -208,6 +208,7 @@ def test_bad_input_is_one_line_before_anything_is_identified(override: str, mess
         ("drive.controller.weights.e_y=0", "drive: weights are"),
         ("drive.reserve=1", "drive: reserve is 1; expected at least 0 and below 1"),
         ("drive.obstacle.out=0", "drive: out is 0.0; expected a positive number [m]"),
+        ("drive.obstacle.sight=0", "drive: sight is 0.0; expected a distance above 0 m, or inf"),
         ("drive.slow=[{start:10,end:5,top_speed:3}]", "drive: slow zone is (10.0, 5.0, 3.0); exp"),
         ("drive.slow=[{start:10}]", "drive: slow zone is (10.0, inf, 0.0); expected a start"),
         ("+drive.controller.speed.boost=1", "drive: "),
@@ -219,6 +220,14 @@ def test_bad_settings_of_a_drive_are_one_line(override: str, message: str, tmp_p
         drive(composed(overrides))
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
+
+
+def test_an_obstacle_over_the_whole_road_stops_the_car(tmp_path: Path) -> None:
+    blocked = ["drive.obstacle.width=20", "drive.start=350", "drive.distance=20"]
+    drive(composed([IMS, *blocked, f"root={tmp_path}", "drive.known=truth"]))
+    results = json.loads((tmp_path / "drive.json").read_text())["results"]
+    assert results["stopped"].startswith("no path with an offset between")
+    assert not any(name.startswith("least speed of the plan") for name in results)
 
 
 def test_a_setting_that_was_renamed_names_the_new_ones(

@@ -91,7 +91,7 @@ def _figure(
                 f"the car left the road {off_road}",
             )
         )
-        passing = _passing(cfg, log)
+        passing = _passing(cfg, log, driver.plan.line.length)
         return fig7(log, obstacle=passing, departure=mark, excess=beyond, note=note)
     length = driver.plan.line.length
     laps = [k * length for k in range(int(log["distance"].max() / length) + 1)]
@@ -99,9 +99,9 @@ def _figure(
     return fig8(log, laps=laps, departure=mark, note=note)
 
 
-def _passing(cfg: DictConfig, log: pd.DataFrame) -> float | None:
-    """Time [s] at which the car passes the obstacle; None without one."""
+def _passing(cfg: DictConfig, log: pd.DataFrame, lap: float) -> float | None:
+    """Time [s] at which the car passes the obstacle on a line of length `lap`; None without one."""
     if cfg.drive.obstacle.sight is None:
         return None
-    passed = log["distance"] >= cfg.drive.obstacle.s - cfg.drive.start
+    passed = log["distance"] >= (cfg.drive.obstacle.s - cfg.drive.start) % lap
     return float(log["time"][passed].iloc[0]) if passed.any() else None

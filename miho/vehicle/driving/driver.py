@@ -35,7 +35,7 @@ NEEDED = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "steering")
 class SlowZone(NamedTuple):
     """A stretch with a top speed [m/s], for example because of slower traffic.
 
-    `start` and `end` [m] are distances along the line since the start of the drive, over all laps.
+    `start` and `end` [m] are arc lengths of the line, to which each lap adds its length.
     """
 
     start: float
@@ -84,6 +84,10 @@ class Sighting:
     distance: float
     local: LocalPlanner
     velocity: VelocityPlanner | PrintedPlanner
+
+    def __post_init__(self) -> None:
+        if not self.distance > 0:
+            raise ValueError(f"sight is {self.distance}; expected a distance above 0 m, or inf")
 
     def in_sight(self, line: Track, s: float) -> bool:
         """Return whether the first obstacle is seen from an arc length [m]."""

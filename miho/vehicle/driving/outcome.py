@@ -12,6 +12,7 @@ from miho.vehicle.driving.embedded import embedded_tires
 from miho.vehicle.driving.friction import FrictionCar, demand, friction_car, measured_use
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import inclinations, static_loads
+from miho.vehicle.driving.local_plan import NoPathError
 from miho.vehicle.driving.simulation import Drive
 from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
@@ -232,15 +233,21 @@ def plans(driver: Driver, start: float) -> dict[str, float | str]:
     """Return the least speeds [km/h] of the planners on the path around the obstacle.
 
     start is the arc length of the start of the drive [m]. The avoidance is planned from the point
-    at which the obstacle is seen, without top speed and reserve, so only the tires limit it.
+    at which the obstacle is seen, without top speed and reserve, so only the tires limit it. The
+    result is empty if there is no path around the obstacle.
     """
     sighting = driver.sighting
     if sighting is None:
         raise ValueError("the driver has no obstacle; expected a sighting")
-    line = driver.plan.line
-    sighted = max(start, sighting.obstacles[0].s - sighting.distance)
-    path = sighting.local.path(line, sighting.obstacles, sighted)
-    near = (path.s > sighted) & (path.s < sighting.obstacles[0].s + sighting.distance)
+    line, obstacle = driver.plan.line, sighting.obstacles[0]
+    seen = min((obstacle.s - start) % line.length, sighting.distance)
+    sighted = obstacle.s - seen
+    try:
+        path = sighting.local.path(line, sighting.obstacles, sighted)
+    except NoPathError:
+        return {}
+    since = (path.s - sighted) % path.length
+    near = (since > 0) & (since < seen + sighting.distance)
     known, speed = sighting.velocity, driver.speed
     planner = VelocityPlanner(known.vehicle, known.grip, speed.engine, speed.brake, known.mu)
     slowest = {"corrected": planner.lateral_limits(path)[near].min()}

@@ -13,7 +13,7 @@ from miho.vehicle.driving.driver import Driver, Sighting
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.lines import beside, constant
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
-from miho.vehicle.driving.outcome import excess, gap, planned_use, true_use
+from miho.vehicle.driving.outcome import excess, gap, planned_use, plans, true_use
 from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.plant import Motion
@@ -131,6 +131,22 @@ def test_a_car_without_sensors_stands_on_the_road_in_the_end(lost: tuple[str, ..
     assert drive["vx"][-1] < 0.5
     assert drive["distance"][-1] < 220.0, "40 m at 40 m/s, and 133 m at 6 m/s^2, and lags"
     assert np.abs(drive["e_y"]).max() < road.width_left.min() - 1.0
+
+
+def test_plans_are_the_same_after_any_number_of_laps() -> None:
+    _, driver = avoidance()
+    lap = driver.plan.line.length
+    here, *laps = (plans(driver, 300.0 + n * lap) for n in (0, -1, 2))
+    assert here["least speed of the plan, corrected [km/h]"] == pytest.approx(47.0, abs=1.0)
+    assert laps == [here, here]
+
+
+def test_a_drive_that_the_time_limit_ends_says_so() -> None:
+    road = lvms(step=4.0)
+    follower = driver(road, 0.7, 30.0)
+    plant = embedded_plant(car().vehicle, road_of(road))
+    drive = simulate(plant, follower, plant.start(speed=30.0), 1000.0, longest=0.5)
+    assert drive.stopped == "at the time limit of 0.5 s, after 15 of 1000 m"
 
 
 def test_bad_input_is_refused() -> None:
