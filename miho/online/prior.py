@@ -65,7 +65,10 @@ def _of_bounds(parameter: Parameter) -> tuple[float, float]:
 def _of_report(
     system: System, report: Report, theta: Array, covariance: Array
 ) -> tuple[Array, Array]:
-    """Estimate and covariance of a report; a parameter that it does not know keeps its bounds'."""
+    """Estimate and covariance of a report; a parameter that it does not know keeps its bounds'.
+
+    The distance of such an estimate from the middle of the bounds adds to its variance.
+    """
     names = report.problem.space.names
     missing = [name for name in system.names if name not in names]
     if missing:
@@ -73,6 +76,7 @@ def _of_report(
             f"prior: the report has no parameter {missing[0]!r}; it has {', '.join(names)}"
         )
     places = [names.index(name) for name in system.names]
+    covariance = covariance + np.diag((report.at.theta[places] - theta) ** 2)
     theta = report.at.theta[places]
     errors = report.at.standard_errors[places]
     known = np.isfinite(errors) & (errors > 0)

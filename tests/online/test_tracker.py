@@ -601,3 +601,14 @@ def test_a_fit_is_the_problem_and_the_prior_as_its_report_is() -> None:
     expected = Tracker(fit.report()).update(row)
     for tracker in (Tracker(fit), Tracker(fit.report(), prior=fit)):
         assert tracker.update(row).values == expected.values
+
+
+def test_a_parameter_that_the_fit_does_not_know_may_be_anywhere_in_its_bounds() -> None:
+    """Without z the data say nothing about b, so its estimate is the start, near a bound."""
+    x = np.linspace(0.5, 1.5, 30)
+    rows = {"x": x, "z": 0 * x, "y": 2 * x + 0.05 * np.random.default_rng(0).standard_normal(30)}
+    bounds = {"a": (0, 5), "b": (0, 5)}
+    fit = miho.fit(lambda x, z, a, b: a * x + b * z, rows, "y", bounds, start={"a": 1, "b": 4.9})
+    assert fit.values["b"] == pytest.approx(4.9)
+    low, high = Tracker(fit).state.intervals()[1]
+    assert (low, high) == (0, 5)
