@@ -79,13 +79,13 @@ class Socket(Source):
                 except OSError:  # closed from another thread
                     return
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                with (
+                with (  # a file for both directions forgets lines that it has read ahead
                     connection,
                     contextlib.suppress(OSError),  # the client has gone
-                    connection.makefile("rw", encoding="utf-8", errors="replace") as client,
+                    connection.makefile(encoding="utf-8", errors="replace") as lines,
+                    connection.makefile("w", encoding="utf-8") as self._client,
                 ):
-                    self._client = client
-                    yield from iter(client.readline, "")
+                    yield from iter(lines.readline, "")
                 self._client = None
 
     def answer(self, text: str) -> None:

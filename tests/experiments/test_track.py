@@ -207,6 +207,9 @@ def test_a_client_of_the_socket_gets_a_state_for_each_row(tmp_path: Path) -> Non
             client.write(json.dumps(row) + "\n")
             client.flush()
             assert json.loads(client.readline())["row"] == k + 1
+        client.write("".join(json.dumps(row) + "\n" for row in rows(100)))
+        client.flush()
+        assert [json.loads(client.readline())["row"] for _ in range(100)] == [*range(6, 106)]
     source.server.shutdown(socket.SHUT_RDWR)
     source.server.close()
     server.join(timeout=20)
