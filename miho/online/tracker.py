@@ -163,7 +163,7 @@ class Tracker(Running):
         if self._steps is not None:
             rows = self._steps.take(rows)
         for row in self._rows(rows):
-            if not 0 <= row[-1] - population["last_time"] <= self._longest:
+            if not 0 <= float(row[-1]) - population["last_time"] <= self._longest:
                 population.measured[:] = math.nan  # another motion begins
             estimate = population.update(row)
             if population["alarm"]:

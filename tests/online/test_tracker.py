@@ -203,12 +203,14 @@ def spoil(columns: dict[str, Any], fault: str) -> None:
         time[300:] -= 1000
     elif fault == "time stands":
         time[300:400] = time[300]
+    elif fault == "time infinite":
+        time[300:310] = np.inf
 
 
 @pytest.mark.parametrize(
     "fault",
     ["missing", "infinite", "outliers", "dropout", "frozen output", "frozen input", "time jumps",
-     "time goes back", "time stands"],
+     "time goes back", "time stands", "time infinite"],
 )  # fmt: skip
 def test_faults(fault: str) -> None:
     columns = tire(6, fall=0.0)

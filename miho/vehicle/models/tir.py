@@ -217,7 +217,7 @@ def _property_file(parameters: MagicFormulaParameters) -> PropertyFile:
 def _value_text(section: str, key: str, value: Value) -> str:
     """Return the text of a value in a file; raises ValueError for text that cannot be quoted."""
     if isinstance(value, float | int):
-        return repr(float(value))
+        return repr(float(value)).removesuffix(".0")  # some readers take FITTYP for a whole number
     if not value.isprintable() or "'" in value:
         raise ValueError(
             f"[{section}] {key}: {value!r} cannot be quoted; use printable text without '"

@@ -230,6 +230,7 @@ def test_degrees_do_not_touch_the_coefficients(tmp_path: Path) -> None:
 def test_round_trip_keeps_every_number(tmp_path: Path, tire: str) -> None:
     first = read_tir(embedded_tire(tire))
     write_tir(first, tmp_path / "copy.tir")
+    assert re.search(r"(?m)^FITTYP += 61$", (tmp_path / "copy.tir").read_text())
     assert read_tir(tmp_path / "copy.tir") == first
     assert load_tir(tmp_path / "copy.tir") == load_tir(embedded_tire(tire))
 
