@@ -127,7 +127,8 @@ class FallingGrip:
 
     def tracked(self, report: Report) -> TrackedFriction:
         """Return a source of friction by TRACKER, which tracks the front grip."""
-        running = TRACKER.start(report.problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
+        problem = replace(report.problem, sigma=report.at.noise)  # although errors are correlated
+        running = TRACKER.start(problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
         place = report.problem.space.names.index("front_grip")
         return TrackedFriction(FrontAxle(self.car.vehicle), running, float(report.at.theta[place]))
 

@@ -21,7 +21,7 @@ from miho.identification import CurveFit, Report
 from miho.online import OnlineMethod, Running
 from miho.online.method import Problems
 from miho.online.motion import StepRows, is_motion, measured_motion
-from miho.online.outputs import TIME
+from miho.online.outputs import TIME, noise_of_rows
 from miho.quantities import Array
 
 
@@ -80,8 +80,14 @@ def task_of(cfg: DictConfig) -> Task:
         raise ConfigError(f"stream.source: is {kind!r}; expected {', '.join(sources)}")
     report = searched(problem, seed=cfg.seed).report()
     if problem.sigma is None:
-        problem = replace(problem, sigma=report.at.noise)
+        problem = replace(problem, sigma=noise_of_rows(report.at))
     print(f"offline data: {len(problem.dataset):,} rows of {problem.dataset.name}", file=sys.stderr)
+    if report.at.dependence is not None:
+        print(
+            "errors of neighbouring rows are correlated: a row counts as one with "
+            f"{noise_of_rows(report.at) / report.at.noise:.1f} times the noise",
+            file=sys.stderr,
+        )
     try:
         return Task(problem, report, stated, noise, sources[kind](), None, steps)
     except ValueError as error:

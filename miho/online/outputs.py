@@ -9,7 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.dependence import widening
 from miho.identification.report import Report
+from miho.identification.uncertainty import Linearised
 from miho.models.joint import parts_of
 from miho.models.layout import PART
 from miho.models.model import Model
@@ -207,9 +209,24 @@ def _common(problems: Sequence[CurveFit]) -> Space:
 
 def noise_of_fits(reports: Iterable[Report]) -> float | None:
     """Return the noise of the first fit that has errors; None without fits."""
-    noises = [(r.at.noise, _rounding(r.problem.dataset[r.problem.dataset.output])) for r in reports]
+    noises = [
+        (noise_of_rows(r.at), _rounding(r.problem.dataset[r.problem.dataset.output]))
+        for r in reports
+    ]
     exact = noises[0][0] if noises else None
     return next((noise for noise, rounding in noises if noise > rounding), exact)
+
+
+def noise_of_rows(at: Linearised) -> float:
+    """Return the noise of independent rows that say as much as the rows of a fit.
+
+    Errors of neighbouring rows may be correlated, for example after a filter. A tracker takes the
+    errors of rows for independent, so it needs this larger noise.
+    """
+    usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+    if at.dependence is None or not usable.any():
+        return at.noise
+    return at.noise * float(np.median(widening(at, np.eye(usable.size)[usable])))
 
 
 def noise_of(system: System, noise: Mapping[str, float]) -> dict[str, float]:

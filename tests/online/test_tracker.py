@@ -614,3 +614,17 @@ def test_a_parameter_that_the_fit_does_not_know_may_be_anywhere_in_its_bounds() 
     assert fit.values["b"] == pytest.approx(4.9)
     low, high = Tracker(fit).state.intervals()[1]
     assert (low, high) == (0, 5)
+
+
+@pytest.mark.parametrize("seed", [5, 6, 9])
+def test_errors_that_a_filter_has_correlated_are_no_change(seed: int) -> None:
+    """Errors after a low pass of first order, in constant parameters."""
+    rng, n = np.random.default_rng(seed), 2500
+    x, errors = np.sin(0.02 * np.arange(n)), rng.standard_normal(n)
+    for k in range(1, n):
+        errors[k] = 0.8 * errors[k - 1] + 0.2 * errors[k]
+    rows = {"x": x, "y": 2 * x + 1 + 0.3 * errors}
+    learned = {name: column[:600] for name, column in rows.items()}
+    tracker = Tracker(miho.fit(line, learned, "y", {"a": (0, 5), "b": (0, 5)}))
+    states = [tracker.update({"x": x[k], "y": rows["y"][k]}) for k in range(600, n)]
+    assert not any(state.alarm for state in states)
