@@ -68,8 +68,14 @@ def task_of(cfg: DictConfig) -> Task:
         )  # fmt: skip
     problem = later = build_problem(cfg)
     steps, kind = _steps(problem), node.get("source")
+    clock = TIME if steps is None else steps.time
+    if kind == "replay" and clock not in problem.dataset.columns:
+        print(
+            f"{problem.dataset.name} has no column {clock!r}: its rows are replayed as "
+            f"{cfg.online.period:g} s apart (online.period)",
+            file=sys.stderr,
+        )
     if kind == "replay" and cfg.online.learn is not None:
-        clock = TIME if steps is None else steps.time
         problem, later = _split(problem, clock, cfg.online.learn, cfg.online.period)
     sources: dict[str, Callable[[], Source]] = {
         "stdin": Lines,

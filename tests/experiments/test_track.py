@@ -184,6 +184,12 @@ def test_a_dataset_without_times_is_replayed_by_its_period() -> None:
     assert [row["time"] for row in rows] == pytest.approx([0.0, 0.1, 0.2])
 
 
+def test_a_replay_without_times_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    register()
+    task_of(composed(["dataset=front_axle", "stream=replay", "online.learn=20"]))
+    assert "has no column 'time': its rows are replayed as 0.02 s apart" in capsys.readouterr().err
+
+
 def test_a_source_refuses_a_wrong_rate_and_port() -> None:
     """Before a row is read."""
     data = miho.Dataset("d", {"x": np.ones(3), "y": np.ones(3)}, {"x": "", "y": ""}, "y")

@@ -32,7 +32,7 @@ TURNING = 1.0
 CROSSFALL = 1.0
 """Largest effect of a crossfall for drainage [m/s^2]: a bank of six degrees."""
 
-UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
+UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N", "time": "s"}
 
 
 def axle_samples(
@@ -42,8 +42,12 @@ def axle_samples(
     cutoff: float = 5.0,
     min_speed: float = 10.0,
     max_ax: float | None = None,
+    timed: bool = False,
 ) -> Dataset:
-    """Slip angle and lateral force of an axle of a log; see `load_axle_samples`."""
+    """Slip angle and lateral force of an axle of a log, perhaps with time [s].
+
+    See `load_axle_samples`, which has the time.
+    """
     if axle not in ("front", "rear"):
         raise ValueError(f"axle is {axle!r}; expected 'front' or 'rear'")
     # Slip angles and forces of both axles, from equally filtered channels.
@@ -72,6 +76,8 @@ def axle_samples(
     columns = {
         "alpha": getattr(slip_angles, axle), "vx": vx, "ax": ax, "Fy": getattr(forces, axle),
     }  # fmt: skip
+    if timed:
+        columns["time"] = log["time"]
     samples = {key: values[usable] for key, values in columns.items()}
     largest = float(np.abs(samples["alpha"]).max())
     if largest > LARGEST_SLIP_ANGLE:
@@ -86,7 +92,8 @@ def axle_samples(
             "ISO signs; flip the column with the wrong sign (vy and ay are positive to the left, "
             "yaw_rate and steering in a left turn), or correct sensor_x, delays or steering_ratio"
         )
-    return Dataset(f"{log.name}_{axle}_axle", samples, UNITS, "Fy")
+    units = {key: UNITS[key] for key in samples}
+    return Dataset(f"{log.name}_{axle}_axle", samples, units, "Fy")
 
 
 def _rises(samples: Mapping[str, Array]) -> bool:
@@ -204,7 +211,7 @@ def load_axle_samples(
     Returns
     -------
     Dataset
-        Columns alpha [rad], vx [m/s], ax [m/s^2] and the output Fy [N].
+        Columns alpha [rad], vx [m/s], ax [m/s^2], time [s] and the output Fy [N].
 
     Raises
     ------
@@ -219,5 +226,5 @@ def load_axle_samples(
         sensor_x=sensor_x, accelerometer=accelerometer, start=start, end=end,
         text=TextFormat(delimiter, decimal, skip_rows, drop_rows, comment),
     )  # fmt: skip
-    samples = axle_samples(log, car, axle, cutoff, min_speed, max_ax)
+    samples = axle_samples(log, car, axle, cutoff, min_speed, max_ax, timed=True)
     return replace(samples.thinned(every), reading=log.reading)

@@ -64,6 +64,16 @@ def test_the_simulated_car_obeys_its_axles(quiet: DrivingLog) -> None:
     assert np.abs(moving - quiet["ay"])[1:-1].max() < 0.05, "the sensor sees v_y' + v_x r"
 
 
+def test_samples_of_a_file_have_their_time(quiet: DrivingLog, tmp_path: Path) -> None:
+    """From 1 / cutoff after the start, for a replay."""
+    units = dict.fromkeys(("vx", "vy"), "m/s") | {"yaw_rate": "rad/s", "steering": "rad"}
+    units = {"time": "s", **units}
+    path, table = tmp_path / "log.csv", np.column_stack([quiet[key] for key in units])
+    np.savetxt(path, table, delimiter=",", header=",".join(units), comments="")
+    data = load_axle_samples(str(path), [*units], [*units.values()], SETTINGS, every=5)
+    np.testing.assert_allclose(data["time"][:3], 0.2 + 5 * quiet.dt * np.arange(3))
+
+
 @pytest.mark.parametrize("axle", ["front", "rear"])
 def test_the_axles_are_found_again(weave: DrivingLog, axle: str) -> None:
     """Within 1 % of D wherever the tires were, and 3 % in cornering stiffness.
