@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.online.outputs import System
-from miho.online.prior import place_of
+from miho.online.prior import UNIFORM, place_of
 from miho.online.state import Mixture
 from miho.quantities import Array
 from miho.validate import positive
@@ -26,6 +26,8 @@ counts as before a change, `gain` the information that the last row gave the bes
 
 JUMP = 0.35
 """Share of its value by which a parameter may jump, unless `changes` says otherwise."""
+AROUND_0 = 1000.0
+"""Size of a parameter that may be 0, in its standard errors, if its bounds are wider."""
 PLACE = {name: k for k, name in enumerate(NUMBERS)}
 
 
@@ -165,7 +167,10 @@ def rules_of(
     for name, share in changes.items():
         k = place_of("changes", name, system.names)
         positive(f"changes.{name}", share)
-        watched[k], unit[k] = 1.0, share * abs(theta[k]) or deviations[k]
+        value, width = abs(theta[k]), system.space.high[k] - system.space.low[k]
+        if value < deviations[k]:  # perhaps 0, of which a share is no size
+            value = max(value, min(UNIFORM * width, AROUND_0 * deviations[k]))
+        watched[k], unit[k] = 1.0, share * value or deviations[k]
     names = ("hazard", "onset", "outliers", "width", "threshold", "near", "use", "smooth", "hold",
              "gap", "every", "repeats", "cap", "step_error", "burst", "settle",
              "wrong")  # fmt: skip

@@ -113,7 +113,7 @@ class Alarm:
             return f"{', '.join(most)} or {last} changed" if most else f"{last} changed"
         verb = "fell" if self.after < self.before else "rose"
         change = abs(self.after - self.before)
-        if self.before == 0:
+        if abs(self.before) <= self.standard_error:  # perhaps 0
             return f"{self.parameter} {verb} by {change:.2g} ± {self.standard_error:.1g}"
         share = 100 / abs(self.before)
         error = share * self.standard_error

@@ -48,8 +48,8 @@ class Tracker(Running):
     prior : Report or Fit or mapping of str to (value, standard deviation), optional
         Knowledge from before; by default the middle of the bounds and a share of their width.
     changes : mapping of str to float, optional
-        Parameters that may jump, and the share of their value by which they may; by default each
-        free parameter by 0.35. The alarm watches them.
+        Parameters that may jump, and the share of their value by which they may, or of their bounds
+        if the value may be 0; by default each free parameter by 0.35. The alarm watches them.
     input_noise : mapping of str to float, optional
         Standard deviation of the noise of input columns, in their units. By default inputs have no
         noise, and the states of a `Trajectory` that of its outputs. An input `vy` with noise is a
