@@ -218,11 +218,7 @@ def noise_of_fits(reports: Iterable[Report]) -> float | None:
 
 
 def noise_of_rows(at: Linearised) -> float:
-    """Return the noise of independent rows that say as much as the rows of a fit.
-
-    Errors of neighbouring rows may be correlated, for example after a filter. A tracker takes the
-    errors of rows for independent, so it needs this larger noise.
-    """
+    """Return the noise of independent rows that say as much as a fit's rows, perhaps correlated."""
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
     if at.dependence is None or not usable.any():
         return at.noise

@@ -65,10 +65,7 @@ def _of_bounds(parameter: Parameter) -> tuple[float, float]:
 def _of_report(
     system: System, report: Report, theta: Array, covariance: Array
 ) -> tuple[Array, Array]:
-    """Estimate and covariance of a report; a parameter that it does not know keeps its bounds'.
-
-    The distance of such an estimate from the middle of the bounds adds to its variance.
-    """
+    """Estimate and covariance of a report; a parameter that it does not know may be anywhere."""
     names = report.problem.space.names
     missing = [name for name in system.names if name not in names]
     if missing:

@@ -27,7 +27,7 @@ counts as before a change, `gain` the information that the last row gave the bes
 JUMP = 0.35
 """Share of its value by which a parameter may jump, unless `changes` says otherwise."""
 AROUND_0 = 1000.0
-"""Size of a parameter that may be 0, in its standard errors, if its bounds are wider."""
+"""Largest size of a parameter that may be 0, in standard errors."""
 PLACE = {name: k for k, name in enumerate(NUMBERS)}
 
 

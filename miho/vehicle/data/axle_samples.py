@@ -44,10 +44,7 @@ def axle_samples(
     max_ax: float | None = None,
     timed: bool = False,
 ) -> Dataset:
-    """Slip angle and lateral force of an axle of a log, perhaps with time [s].
-
-    See `load_axle_samples`, which has the time.
-    """
+    """Slip angle and lateral force of an axle of a log, perhaps timed; see `load_axle_samples`."""
     if axle not in ("front", "rear"):
         raise ValueError(f"axle is {axle!r}; expected 'front' or 'rear'")
     # Slip angles and forces of both axles, from equally filtered channels.
