@@ -78,25 +78,25 @@ class Equations:
         """The derivatives of the states, (S,) or (S, n)."""
         if self._formulas is None:
             return self._called(self.rates_of, t, u, x, p)
-        return _stacked(self._formulas.rates((t, *u, *x, *p)), x.shape[1:])
+        return _stacked(self._formulas["rates"]((t, *u, *x, *p)), x.shape[1:])
 
     def observed(self, t: float, u: Array, x: Array, p: Array) -> Array:
         """The outputs, (K,) or (K, n)."""
         if self._formulas is None:
             return self._called(self._observed, t, u, x, p)
-        return _stacked(self._formulas.outputs((t, *u, *x, *p)), x.shape[1:])
+        return _stacked(self._formulas["outputs"]((t, *u, *x, *p)), x.shape[1:])
 
     def rate_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
         """Return derivatives of the rates (S,) by states (S, S) and by parameters (S, d)."""
         if self._formulas is None:
             return self._differences(self.rates_of, t, u, x, p)
-        return self._split(self._formulas.rate_slopes((t, *u, *x, *p)))
+        return self._split(self._formulas["rate_slopes"]((t, *u, *x, *p)))
 
     def output_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
         """Return derivatives of the outputs by states (K, S) and by parameters (K, d)."""
         if self._formulas is None:
             return self._differences(self._observed, t, u, x, p)
-        return self._split(self._formulas.output_slopes((t, *u, *x, *p)))
+        return self._split(self._formulas["output_slopes"]((t, *u, *x, *p)))
 
     @property
     def traced(self) -> bool:
@@ -206,39 +206,24 @@ class Equations:
         return rates, outputs
 
     @cached_property
-    def _formulas(self) -> _Formulas | None:
+    def _formulas(self) -> dict[str, Callable[..., Any]] | None:
+        """Traced equations as plain functions of the tuple (t, *u, *x, *p), by name."""
         if self._graphs is None:
             return None
         (rates, outputs), (u, x, p) = self._graphs, self._symbols
         arguments = {"values": ["t", *(s.arguments[0] for s in (*u, *x, *p))]}
 
-        def formula(name: str, results: Sequence[Symbol]) -> Callable[..., Any]:
-            return written(name, arguments, results, single=False)
-
         def slopes(results: Sequence[Symbol]) -> list[Symbol]:
             return [slope for result in results for slope in gradient(result, [*x, *p])]
 
-        return _Formulas(
-            formula("rates", rates),
-            formula("outputs", outputs),
-            formula("rate_slopes", slopes(rates)),
-            formula("output_slopes", slopes(outputs)),
-        )
+        results = {"rates": rates, "outputs": outputs}
+        results |= {"rate_slopes": slopes(rates), "output_slopes": slopes(outputs)}
+        return {name: written(name, arguments, own, single=False) for name, own in results.items()}
 
     def _split(self, slopes: Sequence[Any]) -> tuple[Array, Array]:
         S, d = len(self.states), len(self.parameters)
         both = np.array(slopes, dtype=float).reshape(-1, S + d)
         return both[:, :S], both[:, S:]
-
-
-@dataclass(frozen=True)
-class _Formulas:
-    """Traced equations as plain functions of the tuple (t, *u, *x, *p)."""
-
-    rates: Callable[..., Any]
-    outputs: Callable[..., Any]
-    rate_slopes: Callable[..., Any]
-    output_slopes: Callable[..., Any]
 
 
 def _stacked(results: Iterable[Any], columns: tuple[int, ...]) -> Array:

@@ -44,9 +44,8 @@ class Values:
         return self.equations.observed(t, u, z, self.p)
 
     def slope(self, t: float, u: Array, z: Array) -> Array:
-        """Return the derivatives (S n, S n) of dz / dt by z, at the first parameter row."""
-        by_state, _ = self.equations.rate_slopes(t, u, z[:, 0], self.p[:, 0])
-        return np.asarray(np.kron(by_state, np.eye(z.shape[1])), dtype=float)
+        """Return the derivatives (S, S) of dx / dt by x, at the first parameter row."""
+        return self.equations.rate_slopes(t, u, z[:, 0], self.p[:, 0])[0]
 
 
 @dataclass(frozen=True)
@@ -78,12 +77,8 @@ class Sensitivities:
         return np.asarray(by_state @ (z[:, 1:] / self.scale) + by_parameter)
 
     def slope(self, t: float, u: Array, z: Array) -> Array:
-        """Return approximate derivatives of dz / dt by z, without second derivatives of the rates.
-
-        The approximation is sufficient for the Newton iterations of a step.
-        """
-        by_state, _ = self.equations.rate_slopes(t, u, z[:, 0], self.p)
-        return np.asarray(np.kron(by_state, np.eye(z.shape[1])), dtype=float)
+        """Return the derivatives (S, S) of dx / dt by x."""
+        return self.equations.rate_slopes(t, u, z[:, 0], self.p)[0]
 
 
 Motion = Values | Sensitivities
@@ -175,7 +170,9 @@ def stiff(course: Course, motion: Motion, method: str, tolerance: float) -> Path
             return motion.rates(now, at(now, start, end), flat.reshape(shape)).ravel()
 
         def slope(now: float, flat: Array) -> Array:
-            return motion.slope(now, at(now, start, end), flat.reshape(shape))
+            # Without second derivatives of the rates, which Newton's iterations of a step need not.
+            by_state = motion.slope(now, at(now, start, end), flat.reshape(shape))
+            return np.asarray(np.kron(by_state, np.eye(shape[1])), dtype=float)
 
         motion.rates(t[0], at(t[0], start, end), z)  # raises errors of the function
         longest = float(np.diff(t).max()) if course.u.shape[1] else np.inf

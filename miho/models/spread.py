@@ -92,7 +92,7 @@ class SpreadModel(Wrapper):
         digest = self._digest(inputs)
         if (kind, digest) not in self._tasks:
             columns = tuple(np.array(column) for column in inputs)
-            rows, name = _AtInputs(function, columns), self._name(kind, digest)
+            rows, name = partial(_at_inputs, function, columns), self._name(kind, digest)
             losses = self._losses if kind == "predict" else None
             self._tasks[kind, digest] = self._evaluations.function(name, rows, shape, losses)
         return self._tasks[kind, digest]
@@ -114,14 +114,8 @@ MOST_INPUTS = 64
 """Largest number of cached digests."""
 
 
-class _AtInputs:
-    """A function of parameter rows, with fixed inputs."""
-
-    def __init__(self, function: Callable[..., Array], inputs: tuple[Array, ...]) -> None:
-        self._function, self._inputs = function, inputs
-
-    def __call__(self, thetas: Array) -> Array:
-        return np.asarray(self._function(thetas, *self._inputs))
+def _at_inputs(function: Callable[..., Array], inputs: tuple[Array, ...], thetas: Array) -> Array:
+    return np.asarray(function(thetas, *inputs))
 
 
 def _jacobians(jacobian: Callable[..., Array], thetas: Array, *inputs: Array) -> Array:

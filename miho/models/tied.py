@@ -187,10 +187,6 @@ class Ties(Remade):
             slopes[:, :, self.shares] @= self.radial.slopes(thetas[:, self.shares])
         return slopes
 
-    def whole_slopes(self, thetas: Array) -> Array:
-        """Return the derivatives (n, d, f) of the model's parameters at free parameters (n, f)."""
-        return self.value_slopes(thetas)[:, : len(self.parameters)]
-
     def linear(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the free parameters in which a model is jointly linear.
 
@@ -298,7 +294,8 @@ class TiedModel(Tied):
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Return the derivatives of the outputs, (N, f), at free parameters (f,)."""
         derivatives = self.model.jacobian(self.ties.whole(theta[None])[0], *inputs)
-        return np.asarray(derivatives @ self.ties.whole_slopes(theta[None])[0])
+        slopes = self.ties.value_slopes(theta[None])[0, : len(self.ties.parameters)]
+        return np.asarray(derivatives @ slopes)
 
 
 @dataclass(frozen=True)
