@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from miho.parallel.pool import Pool, value_of
@@ -23,14 +23,8 @@ AHEAD = 3
 """Blocks in progress per worker. Arguments are generated only as blocks are sent."""
 
 
-@dataclass(frozen=True)
-class _Block:
-    """Call a function at several arguments."""
-
-    function: Callable[[Any], Any]
-
-    def __call__(self, arguments: Sequence[Any]) -> list[Any]:
-        return [self.function(argument) for argument in arguments]
+def _values(function: Callable[[Any], Any], arguments: Sequence[Any]) -> list[Any]:
+    return [function(argument) for argument in arguments]
 
 
 def in_blocks(
@@ -60,7 +54,7 @@ def in_blocks(
     if size > MOST:
         yield from map(function, todo)
         return
-    call = pool.share(_Block(function))
+    call = pool.share(partial(_values, function))
     blocks = iter(lambda: list(itertools.islice(todo, size)), [])
     under_way: deque[tuple[int, Future[Answer]]] = deque()
     try:

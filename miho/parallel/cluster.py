@@ -196,8 +196,12 @@ def _local(distributed: Any, count: int) -> Iterator[Any]:
 
 def _job_queue(kind: str, jobs: int) -> Any:
     """Submit jobs to a batch queue and return their cluster."""
-    with _own_signals():
+    handler = signal.getsignal(signal.SIGINT)  # of Ctrl-C, which the import may replace
+    try:
         library = _library("dask_jobqueue")
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
     name, program = QUEUES[kind]
     if shutil.which(program) is None:
         raise ClusterError(
@@ -234,17 +238,6 @@ def _job_queue(kind: str, jobs: int) -> Any:
 def _queued(kind: str, key: str) -> Any:
     """Setting `key` of the queue's jobs in the user's Dask configuration, or None."""
     return _library("dask.config").get(f"jobqueue.{kind}.{key}", None)
-
-
-@contextmanager
-def _own_signals() -> Iterator[None]:
-    """Restore the handler of Ctrl-C, which an imported library may replace."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, handler)
 
 
 def _library(name: str) -> Any:

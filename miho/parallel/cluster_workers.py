@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 COUNTED = 1.0
 """Lifetime of the cached number of threads of a cluster [s]."""
+BROKEN = "the connection to the Dask scheduler broke; call again to do the jobs that are left"
 LEAVING = 1.0
 """Time limit [s] for giving up jobs, in case a machine does not answer."""
 
@@ -88,7 +89,7 @@ class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Gene
     def start(self, job: Job) -> None:
         """Send a job to the cluster; raises ClusterLost if the connection is broken."""
         if self._is_broken:
-            raise ClusterLost(self._break)
+            raise ClusterLost(BROKEN)
         future = self._client.submit(
             run_at_worker,
             self._owner,
@@ -139,10 +140,6 @@ class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Gene
     def _is_broken(self) -> bool:
         return self._broken or self._client.status != "running"
 
-    @property
-    def _break(self) -> str:
-        return "the connection to the Dask scheduler broke; call again to do the jobs that are left"
-
     def _outcome_of(self, future: Future[Any]) -> JobOutcome[Job, Result] | None:
         """Outcome of a job, or None if it was given up or its lost answer is being made again."""
         if future not in self._jobs:
@@ -156,9 +153,9 @@ class ClusterWorkers(AbstractContextManager["ClusterWorkers[Job, Result]"], Gene
         except Exception as error:  # noqa: BLE001 -- from Dask: a lost worker or scheduler
             self._broken |= future.cancelled()
             result, detail = None, None
-            reason = self._break if future.cancelled() else _reason(error)
+            reason = BROKEN if future.cancelled() else _reason(error)
         return JobOutcome(
-            self._jobs.pop(future), result, reason, detail, interrupted and reason != self._break
+            self._jobs.pop(future), result, reason, detail, interrupted and reason != BROKEN
         )
 
 

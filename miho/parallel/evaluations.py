@@ -148,7 +148,8 @@ class Evaluations:
             first = min(ends)
             if first < math.inf:
                 return ends.index(first)
-            self._wait(self._pending[k] for n in needs for k in n.left if self._waits(k))
+            pending = (self._pending.get(key) for need in needs for key in need.left)
+            self._wait(each for each in pending if each is not None and each.ended == math.inf)
 
     def close(self) -> None:
         """Cancel all evaluations that are not done."""
@@ -167,7 +168,8 @@ class Evaluations:
         if self._checked is not None:
             self._checked(task.name, partial(self._again, task), task.losses)
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
-        todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
+        stores = self._pending, self._here, () if self._journal is None else self._journal
+        todo = [k for k, key in enumerate(keys) if not any(key in store for store in stores)]
         if self._submitted is not None:
             if self.worth.measured:
                 self._submit(task, keys, thetas, todo)
@@ -199,11 +201,6 @@ class Evaluations:
         waiting = {id(p) for p in self._pending.values() if p.ended == math.inf}
         return min(len(waiting), self.workers)
 
-    def _is_known(self, key: Key) -> bool:
-        if key in self._pending or key in self._here:
-            return True
-        return self._journal is not None and key in self._journal
-
     def _end_of(self, key: Key) -> float:
         """Position of a value in the order of completion.
 
@@ -225,9 +222,6 @@ class Evaluations:
             need.latest = max(need.latest, end)
             need.left.pop()
         return need.latest
-
-    def _waits(self, key: Key) -> bool:
-        return key in self._pending and self._pending[key].ended == math.inf
 
     def _submit(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]

@@ -251,8 +251,12 @@ class _Call:
                 self.submit(payload)
             else:
                 self._fail(error)
-        except BaseException as error:  # noqa: BLE001 -- from another library's executor
-            self._fail(_foreign(error))
+        except (BrokenExecutor, CancelledError) as error:
+            self._fail(WorkersGoneError(_broken(error), again=False))
+        except Exception as error:  # noqa: BLE001 -- from another library's executor
+            self._fail(WorkerLostError(Raised.of(error).line, again=False))
+        except BaseException as error:  # noqa: BLE001 -- the same
+            self._fail(WorkersGoneError(_broken(error), again=False))
         else:
             if answer.lacks:
                 self._send()
@@ -336,13 +340,6 @@ def _pickled(function: Callable[[Any], Any]) -> bytes:
     finally:
         if main is not None:
             sys.modules["__mp_main__"] = main
-
-
-def _foreign(error: BaseException) -> WorkerLostError:
-    """Translate an error of another library's executor."""
-    if isinstance(error, (BrokenExecutor, CancelledError)) or not isinstance(error, Exception):
-        return WorkersGoneError(_broken(error), again=False)
-    return WorkerLostError(Raised.of(error).line, again=False)
 
 
 def _broken(error: BaseException) -> str:
