@@ -59,8 +59,7 @@ class NGOpt(Optimizer):
     plan: int | None = None
 
     def __post_init__(self) -> None:
-        if self.plan is not None:
-            whole("plan", self.plan, 1)
+        whole("plan", self.plan, 1, none=True)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Plan and search until the budget ends."""

@@ -38,8 +38,12 @@ def number_or_infinity(field: str, value: float) -> None:
         raise ValueError(f"{field} is {value!r}; expected a number, or inf for never")
 
 
-def whole(field: str, value: int, low: int, high: int | None = None) -> None:
-    """Raise ValueError unless `value` is an integer of at least `low` and at most `high`."""
+def whole(
+    field: str, value: int | None, low: int, high: int | None = None, *, none: bool = False
+) -> None:
+    """Raise ValueError unless `value` is an integer from `low` to `high`, or None if `none`."""
+    if none and value is None:
+        return
     if not _is_whole(value) or value < low or (high is not None and value > high):
         top = "" if high is None else f" and at most {high:,}"
         raise ValueError(f"{field} is {value!r}; expected a whole number of at least {low}{top}")
@@ -71,10 +75,12 @@ def settings_at_least(settings: object, names: Iterable[str], low: float) -> Non
         at_least(name, getattr(settings, name), low)
 
 
-def whole_settings(settings: object, names: Iterable[str], low: int) -> None:
+def whole_settings(
+    settings: object, names: Iterable[str], low: int, high: int | None = None
+) -> None:
     """Apply `whole` to the attributes with these names."""
     for name in names:
-        whole(name, getattr(settings, name), low)
+        whole(name, getattr(settings, name), low, high)
 
 
 def positive_settings(settings: object, names: Iterable[str], unit: str = "") -> None:
@@ -83,5 +89,5 @@ def positive_settings(settings: object, names: Iterable[str], unit: str = "") ->
         positive(name, getattr(settings, name), unit)
 
 
-def _is_whole(value: object) -> bool:
+def _is_whole(value: object) -> TypeGuard[int]:
     return isinstance(value, Integral) and not isinstance(value, bool)

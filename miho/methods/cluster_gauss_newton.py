@@ -76,8 +76,7 @@ class ClusterGaussNewton(Optimizer):
         whole("iterations", self.iterations, 1, LARGEST_BATCH)
         positive("damping", self.damping)
         positive("gamma", self.gamma)
-        if self.rounds is not None:
-            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+        whole("rounds", self.rounds, 1, LARGEST_BATCH, none=True)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Move one cluster after the other."""

@@ -11,7 +11,7 @@ import scipy  # loads its subpackages on first use: importing them takes a secon
 from miho.methods.unit_box import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.quantities import Array
-from miho.validate import at_least, one_of, true_or_false, whole
+from miho.validate import at_least, one_of, settings_at_least, true_or_false, whole
 
 LEVEL = 1e12
 """Scaled first loss: large enough for the polish to end by its relative tolerance."""
@@ -78,8 +78,7 @@ class DifferentialEvolution(Optimizer):
         whole("popsize", self.popsize, 1, 100_000)
         whole("maxiter", self.maxiter, 1)
         true_or_false(self, ["polish"])
-        for field in ("tol", "atol", "mutation_low", "recombination"):
-            at_least(field, getattr(self, field), 0)
+        settings_at_least(self, ("tol", "atol", "mutation_low", "recombination"), 0)
         at_least("mutation_high", self.mutation_high, self.mutation_low)
         if self.mutation_high >= 2:
             raise ValueError(f"mutation_high is {self.mutation_high!r}; expected below 2")
@@ -96,24 +95,21 @@ class DifferentialEvolution(Optimizer):
             """Losses of columns (d, n), for SciPy's `vectorized`, or the loss of one point (d,)."""
             return losses(x.T) if x.ndim == 2 else float(losses(x[None])[0])
 
-        settings: dict[str, Any] = {
-            "strategy": self.strategy,
-            "maxiter": self.maxiter,
-            "tol": self.tol,
-            "atol": self.atol,
-            "mutation": (self.mutation_low, self.mutation_high),
-            "recombination": self.recombination,
-            "polish": self.polish,
-        }
         box = scipy.optimize.Bounds(np.zeros(len(oracle.space)), np.ones(len(oracle.space)))
         while True:
             scipy.optimize.differential_evolution(
                 objective,
                 box,
+                strategy=self.strategy,  # type: ignore[arg-type]
+                maxiter=self.maxiter,
+                tol=self.tol,
+                atol=self.atol,
+                mutation=(self.mutation_low, self.mutation_high),
+                recombination=self.recombination,
+                polish=self.polish,
                 init=population,
                 updating="deferred",
                 vectorized=True,
                 rng=rng,
-                **settings,
             )
             population = losses.fresh(members, rng)

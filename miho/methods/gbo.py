@@ -57,8 +57,7 @@ class GBO(Optimizer):
         positive("learning_rate", self.learning_rate)
         one_of("units", self.units, UNITS)
         one_of("sampling", self.sampling, SAMPLINGS)
-        if self.steps is not None:
-            whole("steps", self.steps, 1)
+        whole("steps", self.steps, 1, none=True)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Descend; the run ends if the gradient is not finite."""

@@ -22,7 +22,7 @@ from miho.optim import Optimizer, Oracle, Space
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.trace import Descent
 from miho.quantities import Array
-from miho.validate import at_least, positive, whole
+from miho.validate import at_least, positive, whole, whole_settings
 
 LOWER = 0.99
 """A stationary point is new if its sum of squares is below this share of the best (gslnls)."""
@@ -107,16 +107,15 @@ class HickernellYuan(Optimizer):
     rounds: int | None = 1
 
     def __post_init__(self) -> None:
-        for name in ("N", "p", "q", "s", "search", "major", "final"):
-            whole(name, getattr(self, name), 1, LARGEST_BATCH)
+        numbers = ("N", "p", "q", "s", "search", "major", "final")
+        whole_settings(self, numbers, 1, LARGEST_BATCH)
         if self.q > self.N:
             raise ValueError(f"q is {self.q!r}; expected at most N, {self.N}")
         positive("r", self.r)
         at_least("epsilon", self.epsilon, 0)
         whole("least", self.least, 0)
         at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
-        if self.rounds is not None:
-            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+        whole("rounds", self.rounds, 1, LARGEST_BATCH, none=True)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Sample, concentrate and search until enough points were no better; `rounds` times."""

@@ -33,8 +33,7 @@ class MultiStart(Optimizer):
         """Raise ValueError unless these settings are valid."""
         whole("screen", self.screen, 1, LARGEST_BATCH)
         whole("starts", self.starts, 1, LARGEST_BATCH)
-        if self.rounds is not None:
-            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+        whole("rounds", self.rounds, 1, LARGEST_BATCH, none=True)
 
     def descend_from_best(
         self, oracle: Oracle, rng: np.random.Generator, solve: Callable[[Array], bool]

@@ -14,7 +14,7 @@ from miho.methods.unit_box import UnitBox
 from miho.optim import Oracle
 from miho.optim.problem import mean_square
 from miho.quantities import Array
-from miho.validate import positive, whole
+from miho.validate import positive, whole, whole_settings
 
 Slope = Callable[[Array], tuple[float, Array]]
 
@@ -63,8 +63,7 @@ class LBFGSB(MultiStart):
     def __post_init__(self) -> None:
         self.check_starts()
         positive("tolerance", self.tolerance)
-        for field in ("memory", "line_search", "iterations"):
-            whole(field, getattr(self, field), 1)
+        whole_settings(self, ("memory", "line_search", "iterations"), 1)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and descend, `rounds` times."""

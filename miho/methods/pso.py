@@ -9,7 +9,7 @@ import numpy as np
 from miho.optim import AskTell, Space
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS
 from miho.quantities import Array
-from miho.validate import at_least, one_of, positive, whole
+from miho.validate import one_of, positive, settings_at_least, whole
 
 BOUNDS = ("clip", "none")
 FAR = 1e12
@@ -79,8 +79,7 @@ class PSO(AskTell[PSOState]):
     def __post_init__(self) -> None:
         whole("particles", self.particles, 1, LARGEST_BATCH)
         whole("iterations", self.iterations, 1)
-        for field in ("c1", "c2", "inertia_start", "inertia_end"):
-            at_least(field, getattr(self, field), 0)
+        settings_at_least(self, ("c1", "c2", "inertia_start", "inertia_end"), 0)
         if self.velocity_limit is not None:
             positive("velocity_limit", self.velocity_limit)
         one_of("bounds", self.bounds, BOUNDS)

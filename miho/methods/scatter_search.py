@@ -11,7 +11,7 @@ from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, local_search
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.quantities import Array
-from miho.validate import at_least, one_of, positive, whole
+from miho.validate import at_least, one_of, positive, whole, whole_settings
 
 STRATA = 5
 """Diverse points in addition to the uniform points; the k-th is in the k-th fifth of all ranges
@@ -81,10 +81,8 @@ class ScatterSearch(Optimizer):
 
     def __post_init__(self) -> None:
         whole("diverse", self.diverse, 1)
-        if self.members is not None:
-            whole("members", self.members, 3, 10_000)
-        for field in ("first", "between", "patience"):
-            whole(field, getattr(self, field), 1)
+        whole("members", self.members, 3, 10_000, none=True)
+        whole_settings(self, ("first", "between", "patience"), 1)
         at_least("balance", self.balance, 0)
         if self.balance > 1:
             raise ValueError(f"balance is {self.balance!r}; expected at most 1")

@@ -73,8 +73,7 @@ class TikTak(Optimizer):
         for field in ("share", "highest_weight"):
             if getattr(self, field) > 1:
                 raise ValueError(f"{field} is {getattr(self, field)!r}; expected at most 1")
-        if self.rounds is not None:
-            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+        whole("rounds", self.rounds, 1, LARGEST_BATCH, none=True)
         at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
         one_of("method", self.method, METHODS)
 

@@ -133,8 +133,7 @@ class Trajectory(Model):
         positive("tolerance", self.tolerance)
         whole("substeps", self.substeps, 1)
         whole("segments", self.segments, 1)
-        if self.restart is not None:
-            whole("restart", self.restart, 1)
+        whole("restart", self.restart, 1, none=True)
         for setting in ("outputs", "scales", "quantities"):
             object.__setattr__(self, setting, tuple(getattr(self, setting)))
         for setting in ("states", "units"):
