@@ -102,47 +102,6 @@ def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
     return _Target(of, None, centre, slopes, low, high, limited=of in ties.limits)
 
 
-def likelihood_profile(
-    problem: CurveFit,
-    at: Linearised,
-    of: int | str,
-    level: float = 0.95,
-    deadline: Deadline | None = None,
-    others: Sequence[Linearised] = (),
-) -> Profile:
-    """Profile likelihood of a parameter.
-
-    The interval contains the values v for which the smallest sum of squares with the parameter
-    fixed at v exceeds the overall minimum by less than F(1, freedom) allows [1]_. Dependence of
-    rows widens the linearised interval by a factor. tau is divided by this factor [2]_, so the
-    profile keeps its shape. Every refit starts at the optimum of the linearised model.
-
-    Parameters
-    ----------
-    problem : CurveFit
-        The problem.
-    at : Linearised
-        Its optimum.
-    of : int or str
-        Position of a free parameter, or name of a tied one.
-    level : float
-        Confidence level of the interval, between 0 and 1.
-    deadline : Deadline, optional
-        The time limit, after which OutOfTimeError is raised.
-    others : sequence of Linearised
-        Further optima within the noise. The profile is then the lower envelope of the profiles from
-        all optima, and the interval is the hull of all values within.
-
-    References
-    ----------
-    .. [1] Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 6.1.2.
-    .. [2] Kent, Biometrika 69, 1982.
-    """
-    tau = _SignedRoot(problem, (at, *others), of, level, deadline)
-    lower, upper = (_side(tau, sign, level) for sign in SIGNS)
-    return joined(lower, upper)
-
-
 class Side(NamedTuple):
     """One side of a profile: the end of the interval, tau by value, and the best refit."""
 
@@ -158,9 +117,36 @@ def profile_side(
     deadline: Deadline | None,
     side: tuple[int | str, int],
 ) -> Side | None:
-    """A side of a profile, a parameter and a sign of SIGNS, on its own; None after the deadline."""
+    """A side of the profile likelihood of a parameter; None after the deadline.
+
+    The interval contains the values v for which the smallest sum of squares with the parameter
+    fixed at v exceeds the overall minimum by less than F(1, freedom) allows [1]_. Dependence of
+    rows widens the linearised interval by a factor. tau is divided by this factor [2]_, so the
+    profile keeps its shape. Every refit starts at the optimum of the linearised model.
+
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem.
+    optima : sequence of Linearised
+        Its optimum, and further optima within the noise. The profile is the lower envelope of the
+        profiles from all optima, and the interval is the hull of all values within.
+    level : float
+        Confidence level of the interval, between 0 and 1.
+    deadline : Deadline, optional
+        The time limit.
+    side : tuple of (int or str, int)
+        Position of a free parameter or name of a tied one, and a sign of SIGNS.
+
+    References
+    ----------
+    .. [1] Bates and Watts, Nonlinear Regression Analysis, 1988, Ch. 6.1.2.
+    .. [2] Kent, Biometrika 69, 1982.
+    """
     of, sign = side
     try:
+        if deadline is not None:
+            deadline.check()
         return _side(_SignedRoot(problem, optima, of, level, deadline), sign, level)
     except OutOfTimeError:
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +21,6 @@ from miho.identification.profile_likelihood import (
     SIGNS,
     Profile,
     joined,
-    likelihood_profile,
     profile_side,
 )
 from miho.identification.refit import OutOfTimeError, Refit, refit
@@ -297,8 +296,7 @@ class _Steps:
         Parameters that are at a bound or unidentifiable at all optima have no profile. There are no
         profiles for data in events, or if the errors are rounding.
         """
-        at, *others = optima
-        requested = self.requested
+        at, requested = optima[0], self.requested
         if requested is None:
             requested = len(self.problem.space) <= MOST_PROFILES
         if not requested or at.events or at.noise <= rounding_of(self.problem):
@@ -307,30 +305,12 @@ class _Steps:
         for optimum in optima:
             parameters |= profiled_parameters(self.problem, optimum)
         limit = None if self.requested else self.deadline
-        if self.pool is not None:
-            return self._profiles_by_workers(optima, parameters, limit)
-        curves: dict[str, Profile] = {}
-        for name, of in parameters.items():
-            self.progress(f"profile of {name}")
-            try:
-                curves[name] = likelihood_profile(self.problem, at, of, self.level, limit, others)
-            except OutOfTimeError:
-                late = [other for other in parameters if other not in curves]
-                return curves, [f"profile intervals of {', '.join(late)} {self.too_late}"]
-        return curves, []
-
-    def _profiles_by_workers(
-        self,
-        optima: Sequence[Linearised],
-        parameters: Mapping[str, int | str],
-        limit: Deadline | None,
-    ) -> tuple[dict[str, Profile], list[str]]:
-        """The result of `profiles` from workers; each side of each profile is one task."""
+        # Each side of each profile is one task.
         sides = in_blocks(
             self.pool,
             partial(profile_side, self.problem, optima, self.level, limit),
             [(of, sign) for of in parameters.values() for sign in SIGNS],
-            REFITS * seconds_of_refit(self.problem, optima[0].theta),
+            None if self.pool is None else REFITS * seconds_of_refit(self.problem, at.theta),
             (lambda: None) if limit is None else limit.check,
         )
         curves: dict[str, Profile] = {}

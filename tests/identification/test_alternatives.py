@@ -18,11 +18,11 @@ from miho.identification.alternatives import (
     several_values,
 )
 from miho.identification.bootstrap import bootstrap
-from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import Refit, refit
 from miho.optim import Descents, Minimum, Parameter, Space
 from miho.quantities import Array
 from miho.vehicle.models import Pacejka
+from tests.identification.profiles import profile_of
 from tests.printed import flat
 
 LOWER, UPPER = np.array([3.799, 1.981, 1.0, 0.907]), np.array([5.329, 1.417, 1.0, 0.026])
@@ -121,8 +121,8 @@ def test_a_symmetry_repeats_one_optimum() -> None:
 def test_a_profile_spans_all_optima() -> None:
     at, other = (linearised(problem(), fit.theta) for fit in both())
     for k, (near, far) in enumerate(zip(LOWER, UPPER, strict=True)):
-        alone = likelihood_profile(problem(), at, k)
-        curve = likelihood_profile(problem(), at, k, others=[other])
+        alone = profile_of(problem(), at, k)
+        curve = profile_of(problem(), at, k, others=[other])
         assert curve.low < min(near, far)
         assert max(near, far) < curve.high
         assert curve.low <= alone.low + 1e-3 * abs(alone.low)  # ends are known to 0.5 % of tau

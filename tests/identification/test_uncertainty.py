@@ -11,9 +11,9 @@ import miho
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber, linearised
 from miho.identification.bootstrap import bootstrap, percentile_intervals
-from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import refit
 from miho.identification.residuals import Square
+from tests.identification.profiles import profile_of
 from tests.identification.published import Line as LineModel
 from tests.identification.published import line, misra1a, problem, puromycin
 
@@ -39,7 +39,7 @@ def test_profile_intervals_of_the_puromycin_example() -> None:
     fit = puromycin()
     at = linearised(fit, refit(fit, np.array([200.0, 0.1])).theta)
     np.testing.assert_allclose(at.theta, [212.7, 0.06412], rtol=1e-3)
-    Vm, K = (likelihood_profile(fit, at, i) for i in range(2))
+    Vm, K = (profile_of(fit, at, i) for i in range(2))
     assert (Vm.low, Vm.high) == pytest.approx((197.302, 229.290), rel=2e-4)
     assert (K.low, K.high) == pytest.approx((0.046925, 0.086160), rel=2e-3)
 
@@ -59,7 +59,7 @@ def test_linear_regression_in_closed_form() -> None:
     white = bread @ (X.T * left**2) @ X @ bread
     np.testing.assert_allclose(at.sandwich, white, rtol=1e-8)
     for i in range(2):  # the profile of a linear model is the linearised interval
-        curve = likelihood_profile(fit, at, i)
+        curve = profile_of(fit, at, i)
         np.testing.assert_allclose([curve.low, curve.high], at.intervals()[i], rtol=5e-3)
 
 
@@ -132,7 +132,7 @@ def test_an_open_profile_is_infinite() -> None:
     noise = 0.05 * np.cos(np.arange(x.size))
     flat = problem(fit.model, x, 50.0 + noise, [(10, 1000), (1e-3, 1.0)])
     at = linearised(flat, refit(flat, np.array([50.0, 0.08])).theta)
-    found = likelihood_profile(flat, at, 1)
+    found = profile_of(flat, at, 1)
     assert np.isinf(found.high)
     assert np.isfinite(found.low)
 

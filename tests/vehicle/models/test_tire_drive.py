@@ -8,12 +8,12 @@ import pytest
 import miho
 from miho.identification.derived import delta_method, derived
 from miho.identification.flags import identifiability
-from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
 from miho.vehicle.data import tire_drive
 from miho.vehicle.data.synthetic_drive import DRIVE_TRUTH
 from miho.vehicle.models import single_track_drive
+from tests.identification.profiles import profile_of
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
 TRUE = np.array(list(DRIVE_TRUTH.values()))
@@ -69,5 +69,5 @@ def test_a_gentle_drive_tells_cornering_stiffness_and_not_what_makes_it_up() -> 
         assert (quantity.unit, error < 0.01 * value) == ("N/rad", True)
         assert abs(value - axle.prod()) < 3 * error
     for k in BCD:
-        profile = likelihood_profile(fit, at, k)
+        profile = profile_of(fit, at, k)
         assert profile.low <= TRUE[k] <= profile.high, SPACE.names[k]
