@@ -104,12 +104,15 @@ def model_of(model: Any, x: Any, stated: Stated = ()) -> Model:
         from miho.fitting.refused_columns import no_model
 
         raise no_model(model)
-    names = {name for each in stated for name in _names(each)}
+    names = {name for each in stated for name in named(each)}
     return FunctionModel(model, columns=_column_names(model, x, names))
 
 
-def _names(stated: Space | Mapping[str, Any] | None) -> Sequence[str]:
-    return stated.names if isinstance(stated, Space) else tuple(stated or ())
+def named(bounds: Space | Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Bounds or other values by name."""
+    if isinstance(bounds, Space):
+        return {parameter.name: parameter for parameter in bounds.parameters}
+    return bounds if isinstance(bounds, Mapping) else {}
 
 
 def signed_model(model: Model) -> Signed | None:
@@ -279,9 +282,7 @@ def space_of(
 
     The range of a parameter without bounds is `reach` times its start on either side.
     """
-    ranges = bounds if isinstance(bounds, Mapping) else {}
-    if isinstance(bounds, Space):
-        ranges = {parameter.name: parameter for parameter in bounds.parameters}
+    ranges = named(bounds)
     names = list(dict.fromkeys([*model.parameters, *ranges]))
     for name in fixed:
         if name in tied:

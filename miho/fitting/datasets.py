@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.fitting.arguments import Stated, by_name, inputs_of, numbers_in, signed_model
+from miho.fitting.arguments import Stated, by_name, inputs_of, named, numbers_in, signed_model
 from miho.models.model import Model
 from miho.optim import Parameter, Space
 from miho.quantities import Array
@@ -268,9 +268,7 @@ def largest_values(stated: Stated) -> dict[str, float]:
     """
     largest: dict[str, float] = {}
     for values in stated:
-        named = {p.name: p for p in values.parameters} if isinstance(values, Space) else values
-        if isinstance(named, Mapping):  # anything else is refused later
-            largest |= {name: _largest(value) for name, value in named.items()}
+        largest |= {name: _largest(value) for name, value in named(values).items()}
     return largest
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
-from miho.fitting.arguments import space_of
+from miho.fitting.arguments import named, space_of
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import searched, spread
 from miho.identification.constraints import constrained
@@ -91,20 +91,16 @@ class Joint:
     @cached_property
     def model(self) -> JointModel:
         """The model of all parts, with joint names of the parameters."""
-        return JointModel(
-            tuple(
-                JointPart(name, part.model, tuple(self._joint_names(name, part.model)))
-                for name, part in self.parts.items()
-            )
-        )
+        parts = []
+        for part, (model, *_) in self.parts.items():
+            names = (f"{p}_{part}" if p in self.local else p for p in model.parameters)
+            parts.append(JointPart(part, model, tuple(names)))
+        return JointModel(tuple(parts))
 
     @cached_property
     def _shared(self) -> set[str]:
         """Parameters of the parts that are not local."""
         return {p for part in self.parts.values() for p in part.model.parameters} - {*self.local}
-
-    def _joint_names(self, part: str, model: Model) -> list[str]:
-        return [f"{p}_{part}" if p in self.local else p for p in model.parameters]
 
     @property
     def lacking(self) -> list[str]:
@@ -189,17 +185,16 @@ class Joint:
 
     def with_local(self, bounds: Space | Mapping[str, Any]) -> dict[str, Any]:
         """Bounds or other values by name; a local parameter has its value in each part."""
-        ranges = dict(bounds) if isinstance(bounds, Mapping) else {}
-        if isinstance(bounds, Space):
-            ranges = {parameter.name: parameter for parameter in bounds.parameters}
-        named = {name: value for name, value in ranges.items() if name not in self.local}
+        ranges = named(bounds)
+        own = {name: value for name, value in ranges.items() if name not in self.local}
         for part in self.model.parts:
             for name, joint in zip(part.model.parameters, part.parameters, strict=True):
                 if name in self.local and name in ranges:
                     value = ranges[name]
-                    own = replace(value, name=joint) if isinstance(value, Parameter) else value
-                    named.setdefault(joint, own)
-        return named
+                    if isinstance(value, Parameter):
+                        value = replace(value, name=joint)
+                    own.setdefault(joint, value)
+        return own
 
     def _traced(self, space: Space, expensive: bool) -> Model:
         """The model with functions replaced by formulas where possible, as one formula if it is."""

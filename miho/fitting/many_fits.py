@@ -127,14 +127,10 @@ def fit_many(
         x, y = parts.part(k)
         return data_of(chosen, x, y, None, "raise", *stated)[0]
 
-    starts = None if start is None else {name: np.ravel(value) for name, value in start.items()}
-    middle = (
-        None
-        if starts is None
-        else {
-            name: float(np.median(value)) if value.size else 0.0 for name, value in starts.items()
-        }
-    )
+    starts = middle = None
+    if start is not None:
+        starts = {name: np.ravel(value) for name, value in start.items()}
+        middle = {n: float(np.median(value)) if value.size else 0.0 for n, value in starts.items()}
     bounds = constrained(space_of(chosen, space, middle, fixed or {}, tied or {}), constraints)
     problem = CurveFit(chosen, dataset(0), bounds, compiled=False)
     taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
