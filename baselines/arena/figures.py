@@ -230,15 +230,11 @@ def label_shares(frame: pd.DataFrame, x: str, ax: Axes) -> None:
     last, mean = shares.last(), shares.mean()
     styles = with_emphasis(frame["optimizer"])
     labels = [
-        EndLabel(last[name], f"{_percent(last[name])}  {styles[name].name}", styles[name])
+        # The share has three digits, padded by spaces as wide as a digit.
+        EndLabel(last[name], f"{100 * last[name]:\u2007>3.0f} %  {styles[name].name}", styles[name])
         for name in sorted(styles, key=lambda method: (last[method], mean[method]))
     ]
     draw_end_labels(ax, labels)
-
-
-def _percent(share: float) -> str:
-    """A share in percent, padded to three digits by spaces as wide as a digit."""
-    return f"{100 * share:\u2007>3.0f} %"
 
 
 def _errors(

@@ -224,8 +224,18 @@ def arena_figures(results: ArenaResults) -> dict[str, Figure]:
     problems = len(results.scores)
     difference = critical_difference(len(order), problems)
     figures = {
-        **_error_curves(runs, curves, note),
-        **_ert_tables(ert, order, note),
+        **{
+            f"error_curves{page}": error_curves(
+                runs[runs["problem"].isin(names)], curves[curves["problem"].isin(names)], note=note
+            )
+            for page, names in pages(runs["problem"]).items()
+        },
+        **{
+            f"ert{page}": ert_table(
+                ert[ert["problem"].isin(names)], factor=NEAR_BEST, order=order, note=note
+            )
+            for page, names in pages(ert["problem"]).items()
+        },
         "ecdf": ecdf_figure(
             ecdf(reached, "evaluations"), ecdf(timed, clock.axis), clock, note=note
         ),
@@ -242,28 +252,6 @@ def arena_figures(results: ArenaResults) -> dict[str, Figure]:
     if results.tested is not None:
         figures["speed_up"] = speed_up_figure(results.speed_ups, method=results.tested, note=note)
     return figures
-
-
-def _error_curves(runs: pd.DataFrame, curves: pd.DataFrame, note: str) -> dict[str, Figure]:
-    """Curves of all problems, on as many pages as they need."""
-    return {
-        f"error_curves{page}": error_curves(
-            runs[runs["problem"].isin(problems)],
-            curves[curves["problem"].isin(problems)],
-            note=note,
-        )
-        for page, problems in pages(runs["problem"]).items()
-    }
-
-
-def _ert_tables(ert: pd.DataFrame, order: pd.DataFrame, note: str) -> dict[str, Figure]:
-    """Running times on all problems, on as many pages as they need; methods in their order."""
-    return {
-        f"ert{page}": ert_table(
-            ert[ert["problem"].isin(problems)], factor=NEAR_BEST, order=order, note=note
-        )
-        for page, problems in pages(ert["problem"]).items()
-    }
 
 
 def pages(problems: pd.Series) -> dict[str, list[str]]:

@@ -55,13 +55,11 @@ def patience() -> Iterator[None]:
     # Set them, and restore the previous handlers at the end.
     handlers = {signal.SIGVTALRM: on_computing, signal.SIGALRM: on_waiting}
     previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
-    signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
+    _set_timers(PATIENCE)
     try:
         yield
     finally:
-        for timer in (signal.ITIMER_VIRTUAL, signal.ITIMER_REAL):
-            signal.setitimer(timer, 0.0)
+        _set_timers(0.0)
         for number, handler in previous.items():
             signal.signal(number, handler)
         if messages:  # it was raised in a run, which caught it and failed
@@ -71,5 +69,9 @@ def patience() -> Iterator[None]:
 def restart_patience() -> None:
     """Restart both timers at an evaluation, if they are running."""
     if hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_VIRTUAL)[0]:
-        signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
-        signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
+        _set_timers(PATIENCE)
+
+
+def _set_timers(seconds: float) -> None:
+    for timer in (signal.ITIMER_VIRTUAL, signal.ITIMER_REAL):
+        signal.setitimer(timer, seconds, seconds)
