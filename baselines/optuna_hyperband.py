@@ -57,7 +57,6 @@ class OptunaHyperband(Optimizer):
         """Run trials one after the other until the budget ends."""
         # The pruner assigns brackets by a hash of the study's name and the trial's number.
         study = optuna.create_study(
-            storage=None,
             study_name=f"hyperband-{rng.integers(2**63)}",
             sampler=optuna.samplers.RandomSampler(seed=0),
             pruner=optuna.pruners.HyperbandPruner(

@@ -63,7 +63,6 @@ class OptunaTPE(Optimizer):
                 multivariate=self.multivariate,
                 group=self.group,
                 constant_liar=self.constant_liar,
-                constraints_func=None,
             )
         study = _study(sampler, oracle.space, self.n_startup_trials)
         while True:
@@ -127,23 +126,16 @@ def _cma(
         warnings.simplefilter("ignore", FutureWarning)
         return optuna.samplers.CmaEsSampler(
             x0=x0,
-            sigma0=None,
             n_startup_trials=1,
-            independent_sampler=None,
             warn_independent_sampling=False,
             seed=int(rng.integers(2**31)),
-            consider_pruned_trials=False,
             popsize=popsize,
-            use_separable_cma=False,
-            with_margin=False,
-            lr_adapt=False,
-            source_trials=None,
         )
 
 
 def _study(sampler: optuna.samplers.BaseSampler, space: Space, initial: int) -> optuna.Study:
     """A study in memory whose first trials are the common initial configurations."""
-    study = optuna.create_study(storage=None, study_name="in memory", sampler=sampler)
+    study = optuna.create_study(study_name="in memory", sampler=sampler)
     for p in space.initial(initial).tolist():
         study.enqueue_trial(dict(zip(space.names, p, strict=True)))
     return study
