@@ -77,7 +77,7 @@ class _ExtendedKalmanRun(Peer):
         variances = seconds[:, None] * self.walk
         if self.resets:
             variances += self.watch.fired[:, None] * self.setup.changes**2
-        self.covariance = widened(self.covariance, variances)
+        self.covariance = with_process_noise(self.covariance, variances)
 
     def learn(self, x: Array, y: Array) -> None:
         f, J, r = self.setup.predicted(self.theta, x)
@@ -85,7 +85,7 @@ class _ExtendedKalmanRun(Peer):
         for o in range(y.shape[1]):
             moved = np.sum(J[:, o] * (self.theta - start), axis=-1)
             residual = y[:, o] - f[:, o] - moved
-            self.theta, self.covariance = updated(
+            self.theta, self.covariance = kalman_update(
                 self.theta, self.covariance, residual, J[:, o], r[:, o], self.setup
             )
 
@@ -99,7 +99,7 @@ def walk_variances(setup: Setup, drift: float, drift_of_others: float) -> Array:
     return np.asarray((share * setup.sizes) ** 2)
 
 
-def widened(P: Array, variances: Array) -> Array:
+def with_process_noise(P: Array, variances: Array) -> Array:
     """Return covariances (..., d, d) to which variances (..., d) are added."""
     P = P.copy()
     places = np.arange(P.shape[-1])
@@ -107,7 +107,7 @@ def widened(P: Array, variances: Array) -> Array:
     return P
 
 
-def updated(
+def kalman_update(
     theta: Array, P: Array, residual: Array, slopes: Array, variance: Array, setup: Setup
 ) -> tuple[Array, Array]:
     """Return estimates (..., d) and covariances (..., d, d) after one output.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.online.alarms import WIDER, Detector, LevelAlarm
-from baselines.online.extended_kalman import updated, walk_variances, widened
+from baselines.online.extended_kalman import kalman_update, walk_variances, with_process_noise
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import TEACHING, Setup
 from miho.quantities import Array
@@ -86,7 +86,7 @@ class _InteractingModelsRun(Peer):
         variances = seconds[:, None, None] * self.walks
         if self.resets:
             variances += (self.watch.fired[:, None] * self.setup.changes**2)[:, None]
-        self.covariances = widened(self.covariances, variances)
+        self.covariances = with_process_noise(self.covariances, variances)
 
     def _mix(self) -> None:
         """Mix the modes; the shares become the predicted ones (Eq. 7 to 9)."""
@@ -118,7 +118,7 @@ class _InteractingModelsRun(Peer):
         seen = np.isfinite(e)
         square = np.where(seen, e, 0.0) ** 2
         if not self.guards:
-            state = updated(self.thetas, self.covariances, e, j, r, self.setup)
+            state = kalman_update(self.thetas, self.covariances, e, j, r, self.setup)
             self.thetas, self.covariances = state
             return np.where(seen, -0.5 * (square / S + np.log(S)), 0.0)
         wide = S + WIDER**2 * r
@@ -126,7 +126,7 @@ class _InteractingModelsRun(Peer):
         outlier = OUTLIERS * np.exp(-0.5 * square / wide) / np.sqrt(wide)
         total = inlier + outlier + 1e-300
         noise = r + S * (1 / np.maximum(inlier / total, 1e-6) - 1)
-        state = considered(
+        state = consider_update(
             self.thetas, self.covariances, e, j, noise, np.abs(j) >= least, self.setup
         )
         self.thetas, self.covariances = state
@@ -156,7 +156,7 @@ def transitions(modes: int, to_next: float, back: float) -> Array:
     return matrix + np.diag(1 - matrix.sum(axis=1))
 
 
-def considered(
+def consider_update(
     theta: Array,
     P: Array,
     residual: Array,
@@ -167,8 +167,8 @@ def considered(
 ) -> tuple[Array, Array]:
     """Return the update that changes only the taught parameters (..., d), in Joseph's form.
 
-    The other arguments and the results are as for `updated` of the extended Kalman filter; see
-    Simon, Optimal State Estimation (2006), Sec. 10.4 (reduced-order and consider filtering).
+    The other arguments and the results are as for `kalman_update`; see Simon, Optimal State
+    Estimation (2006), Sec. 10.4 (reduced-order and consider filtering).
     """
     Pj = (P @ slopes[..., None])[..., 0]
     S = np.sum(slopes * Pj, axis=-1) + variance

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.extended_kalman import updated
+from baselines.online.extended_kalman import kalman_update
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
 from miho.quantities import Array
@@ -74,5 +74,5 @@ class _RecursiveLeastSquaresRun(Peer):
             forgotten = np.where(counts, self.forgetting, 1.0)
             P = self.covariance / np.where(self.learns, forgotten[:, None], 1.0)[:, None]
             residual = np.where(counts, residual, np.nan)
-            self.theta, P = updated(self.theta, P, residual, slopes, r[:, o], setup)
+            self.theta, P = kalman_update(self.theta, P, residual, slopes, r[:, o], setup)
             self.covariance = (P + P.swapaxes(1, 2)) / 2

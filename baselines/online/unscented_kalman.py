@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.online.extended_kalman import walk_variances, widened
+from baselines.online.extended_kalman import walk_variances, with_process_noise
 from baselines.online.peer import Peer, PeerMethod
 from baselines.online.setup import Setup
 from miho.quantities import Array
@@ -58,7 +58,7 @@ class _UnscentedKalmanRun(Peer):
         self.of_covariance[0] += 1 - settings.alpha**2 + settings.beta
 
     def drift(self, seconds: Array) -> None:
-        self.covariance = widened(self.covariance, seconds[:, None] * self.walk)
+        self.covariance = with_process_noise(self.covariance, seconds[:, None] * self.walk)
 
     def learn(self, x: Array, y: Array) -> None:
         centre = self.theta[:, None]
