@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from miho.identification.alternatives import several_values
-from miho.identification.dependence import alike_beside_priors, widening
-from miho.identification.flags import REMEDY, doubtful, ended_at_bounds, held_at_bounds, unseen
+from miho.identification.dependence import serial_correlation_beside_priors, widening
+from miho.identification.flags import (
+    REMEDY,
+    doubtful,
+    ended_at_bounds,
+    held_at_bounds,
+    not_identifiable,
+)
 from miho.identification.line_wrapping import with_digits, with_unit
 from miho.identification.stated import at_limits, marked, reported_space, reported_uncertainty
 
@@ -33,7 +39,7 @@ def printed(fit: Fit) -> tuple[str, list[str]]:
         "; errors of neighbouring rows are correlated, and intervals do not allow for them "
         "together with priors"
     )
-    priors = bool(alike_beside_priors(fit.problem, fit.theta))
+    priors = bool(serial_correlation_beside_priors(fit.problem, fit.theta))
     at = None
     with contextlib.suppress(ValueError):  # too few rows
         at = fit.uncertainty
@@ -77,7 +83,7 @@ def caveats(fit: Fit) -> list[str]:
         sentences += on_computation(fit.problem, fit.uncertainty)
     space = reported_space(fit.problem.space)
     sentences += (ended_at_bounds if conclusion.doubt else held_at_bounds)(at, space)
-    return sentences + unseen(at, space, everywhere=False)
+    return sentences + not_identifiable(at, space, everywhere=False)
 
 
 def figure_of(fit: Fit, ax: object = None) -> Figure:

@@ -50,7 +50,7 @@ drives models that fit have 1.4 to 2.1 times the mean square, models with a root
 times."""
 
 
-class Likeness(NamedTuple):
+class SerialCorrelation(NamedTuple):
     """Autocorrelation at lag 1, corrected for the effect of a fit.
 
     `score` is the correlation in standard deviations for independent errors.
@@ -65,7 +65,9 @@ class Likeness(NamedTuple):
         return self.correlation > RESEMBLING and self.score > SCORE
 
 
-def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Likeness:
+def serial_correlation(
+    errors: Array, basis: Array, series: Sequence[slice] = ALL
+) -> SerialCorrelation:
     """Correlation of neighbouring errors (N,) of a fit, in the order of the rows of each series.
 
     The orthonormal `basis` (N, d) spans the derivatives of the fit, to which the errors are
@@ -76,7 +78,7 @@ def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Like
     rows, d = basis.shape
     freedom, total = rows - d, float(errors @ errors)
     if freedom < ROWS_PER_COEFFICIENT or total == 0:
-        return Likeness(0.0, 0.0)
+        return SerialCorrelation(0.0, 0.0)
     shifted = np.zeros_like(basis)  # A basis; e.T A e is the sum of products of neighbours
     products, pairs = 0.0, 0
     for own in series:
@@ -89,7 +91,7 @@ def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Like
     squares = pairs / 2 - 2 * np.sum(shifted**2) + np.sum(inner**2)
     variance = 2 * (squares - freedom * mean**2) / freedom / (freedom + 2)
     excess = products / total - mean
-    return Likeness(excess, float(excess / np.sqrt(variance)) if variance > 0 else 0.0)
+    return SerialCorrelation(excess, float(excess / np.sqrt(variance)) if variance > 0 else 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from miho.identification.autocorrelation import (
     Autoregression,
     autoregression,
     degrees_of_freedom,
-    likeness,
+    serial_correlation,
 )
 from miho.identification.curve_fit import CurveFit
 from miho.models.layout import OUTPUT, PART
@@ -67,7 +67,7 @@ def dependent(
     The orthonormal `basis` (N, r) spans the derivatives, and `half` (d, r) maps sums of errors
     times the basis to changes of the parameters. Rows are neighbours within a `series`.
     """
-    alike = likeness(errors, basis, series)
+    alike = serial_correlation(errors, basis, series)
     if not alike.significant or not basis.shape[1]:
         return at
     model, sides = autoregression(errors, basis, series)
@@ -108,7 +108,7 @@ def widening(at: Linearised, axes: Array) -> Array:
     return np.asarray(at.reach(axes) / at.independent.reach(axes))
 
 
-def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
+def serial_correlation_beside_priors(problem: CurveFit, theta: Array) -> float:
     """The significant correlation of neighbouring errors that priors exclude from the model; or 0.
 
     The result is 0 without priors, or if the data number events.
@@ -118,7 +118,7 @@ def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
     basis = np.linalg.qr(problem.error_slopes(theta))[0]
     errors = problem.errors(theta)
     # Remove the part of the errors that the parameters would fit without the priors.
-    alike = likeness(errors - basis @ (basis.T @ errors), basis, series_of(problem))
+    alike = serial_correlation(errors - basis @ (basis.T @ errors), basis, series_of(problem))
     return alike.correlation if alike.significant else 0.0
 
 

@@ -11,7 +11,7 @@ import scipy  # loads its subpackages at first use: importing them takes a secon
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.dependence import EVENT, alike_beside_priors, widening
+from miho.identification.dependence import EVENT, serial_correlation_beside_priors, widening
 from miho.identification.uncertainty import parameters_at_bounds
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -91,7 +91,7 @@ def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> 
 
 def identifiability(at: Linearised, space: Space) -> list[str]:
     """Sentences on active bounds, unidentifiable parameters and strong correlations."""
-    return held_at_bounds(at, space) + unseen(at, space) + entangled(at, space)
+    return held_at_bounds(at, space) + not_identifiable(at, space) + strongly_correlated(at, space)
 
 
 def held_at_bounds(at: Linearised, space: Space) -> list[str]:
@@ -104,7 +104,7 @@ def held_at_bounds(at: Linearised, space: Space) -> list[str]:
     ]
 
 
-def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
+def not_identifiable(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
     """A sentence on parameters that can change without changing any prediction.
 
     `everywhere` says that this holds at any configuration, not only at this optimum.
@@ -122,10 +122,10 @@ def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
     return sentences
 
 
-def entangled(at: Linearised, space: Space) -> list[str]:
+def strongly_correlated(at: Linearised, space: Space) -> list[str]:
     """Sentences on strongly correlated parameters."""
     sentences, names = [], space.names
-    for members in _entangled(at.correlation):
+    for members in _correlated_groups(at.correlation):
         block = at.correlation[np.ix_(members, members)]
         strongest = block[np.triu_indices(len(members), 1)]
         r = float(strongest[np.abs(strongest).argmax()])
@@ -278,7 +278,7 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
     if at.dependence is not None and usable.any():
         sentences.append(_alike(at, at.dependence, np.eye(usable.size)[usable]))
-    correlation = alike_beside_priors(problem, at.theta)
+    correlation = serial_correlation_beside_priors(problem, at.theta)
     if correlation:
         sentences.append(
             f"the errors of neighbouring rows are correlated ({correlation:.2f}): with priors, "
@@ -356,7 +356,7 @@ def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[s
     ]
 
 
-def _entangled(correlation: Array) -> list[list[int]]:
+def _correlated_groups(correlation: Array) -> list[list[int]]:
     """Groups of parameters connected by strong correlations, in the order of the parameters."""
     strong = np.abs(np.nan_to_num(correlation)) >= CORRELATED
     count, label = scipy.sparse.csgraph.connected_components(strong, directed=False)

@@ -23,6 +23,8 @@ TIED = 1e-9
 input."""
 FEWEST = 3
 """Smallest number of rows for an estimate."""
+TAIL = (1 - 0.95) / 2
+"""Probability on either side of an interval, which has 95 %."""
 SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
 """Largest numbers of rows that `irreducible_square` uses: for one input, which is sorted, and for
 several, because the search for nearest neighbours takes longer."""
@@ -91,8 +93,8 @@ def irreducible_error(x: Array, y: Array) -> float:
     return irreducible_interval(x, y).value
 
 
-def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible:
-    """The estimate of `irreducible_error` with an interval of a confidence level.
+def irreducible_interval(x: Array, y: Array) -> Irreducible:
+    """The estimate of `irreducible_error` with an interval of 95 %.
 
     The errors are independent and normal, with a spread that may change along x. Fourth powers and
     products of the pseudo-residuals then estimate the variance of their mean square without bias. A
@@ -105,16 +107,16 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     if x.size < FEWEST:
         return Irreducible(math.nan, math.nan, math.nan)
     scatter = _scatter(x, y)
-    value, high = math.sqrt(scatter.square), _high(scatter, level)
+    value, high = math.sqrt(scatter.square), _high(scatter)
     if x.size < 5 or scatter.square == 0:
         return Irreducible(value, 0.0, high)
     wider = [_pseudo_residuals(scatter.x[k::2], scatter.y[k::2])[0] for k in (0, 1)]
     bend = max(0.0, float(np.mean(np.concatenate(wider) ** 2)) - scatter.square)
-    lowest = _over_chi_squared(scatter, (1 - level) / 2) - bend
+    lowest = _over_chi_squared(scatter, TAIL) - bend
     return Irreducible(value, math.sqrt(max(0.0, lowest)), high)
 
 
-def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
+def irreducible_limit(X: Array, y: Array) -> float:
     """Upper limit of the irreducible error for several inputs X (p, N), in the unit of y.
 
     For independent errors, the mean of half the squared difference of two points is the variance
@@ -138,7 +140,7 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
     # For normal errors e, e^4 / 3 estimates the square of the variance, as in `_variance`.
     parts = squares / math.ldexp(1.0, math.frexp(squares.max())[1])  # whose squares are numbers
     freedom = 3 * float(parts.sum()) ** 2 / float((parts**2).sum())
-    return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, (1 + level) / 2))
+    return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, 1 - TAIL))
 
 
 def irreducible_of(problem: CurveFit) -> Irreducible:
@@ -176,13 +178,13 @@ def _scatter(x: Array, y: Array) -> _Scatter:
     return _Scatter(x, y, square, freedom)
 
 
-def _high(scatter: _Scatter, level: float = 0.95) -> float:
+def _high(scatter: _Scatter) -> float:
     """Upper end of the interval of the irreducible error."""
     if scatter.x.size < 5:
         return math.inf
     if scatter.square == 0:
         return 0.0
-    return math.sqrt(_over_chi_squared(scatter, 1 - (1 - level) / 2))
+    return math.sqrt(_over_chi_squared(scatter, 1 - TAIL))
 
 
 def _over_chi_squared(scatter: _Scatter, tail: float) -> float:

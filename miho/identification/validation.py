@@ -15,7 +15,7 @@ from miho.data.dataset import Dataset
 from miho.identification.autocorrelation import autoregression, chance_of_trend
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline, seconds_of_refit
-from miho.identification.dependence import alike_beside_priors, series_of
+from miho.identification.dependence import serial_correlation_beside_priors, series_of
 from miho.identification.inverse_root import inverse_root
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised
@@ -233,7 +233,7 @@ def _chance_beside_neighbours(
 ) -> float:
     """P value of a grouping for errors that depend on neighbouring rows; 0 if they do not."""
     dependence, series = at.dependence, series_of(problem)
-    if dependence is None and not alike_beside_priors(problem, at.theta):
+    if dependence is None and not serial_correlation_beside_priors(problem, at.theta):
         return 0.0
     free = np.flatnonzero(~at.at_bound)
     slopes = inverse_root(problem.error_slopes(at.theta), free).basis

@@ -17,7 +17,7 @@ from miho.identification.autocorrelation import (
     Autoregression,
     autoregression,
     chance_of_trend,
-    likeness,
+    serial_correlation,
 )
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.refit import refit
@@ -102,7 +102,7 @@ def test_the_test_of_neighbours_has_its_moments() -> None:
     variance = 2 * (np.trace(M @ A @ M @ A) - 37 * mean**2) / (37 * 39)
     r = errors @ A @ errors / (errors @ errors)
     expected = (r - mean, (r - mean) / np.sqrt(variance))
-    np.testing.assert_allclose(likeness(errors, basis), expected, rtol=1e-10)
+    np.testing.assert_allclose(serial_correlation(errors, basis), expected, rtol=1e-10)
 
 
 def line_through(noise: Array, x: Array) -> tuple[Linearised, Array]:
@@ -332,7 +332,7 @@ def test_rows_of_different_records_are_no_neighbours() -> None:
     variance = 2 * (np.trace(M @ A @ M @ A) - 67 * mean**2) / (67 * 69)
     r = errors @ A @ errors / (errors @ errors)
     expected = (r - mean, (r - mean) / np.sqrt(variance))
-    np.testing.assert_allclose(likeness(errors, basis, SERIES), expected, rtol=1e-10)
+    np.testing.assert_allclose(serial_correlation(errors, basis, SERIES), expected, rtol=1e-10)
 
     def criterion(z: Array) -> float:
         V = of_series(covariance(Autoregression(np.tanh(z), 1.0), 70))
