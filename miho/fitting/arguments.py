@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import inspect
 import math
 import sys
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.models.function_model import FunctionModel
+from miho.models.function_model import FunctionModel, plain_of
 from miho.models.model import Model
 from miho.optim import Parameter, Space
 
@@ -192,9 +191,7 @@ def _column_names(function: Any, x: Any, parameters: set[str]) -> tuple[str, ...
         arguments = inspect.signature(function).parameters
     except (TypeError, ValueError):
         return ()  # the function model refuses it
-    plain = function
-    while isinstance(plain, functools.partial):  # arguments after a bound one are keyword-only
-        plain = plain.func
+    plain = plain_of(function)  # arguments after one that a partial binds are keyword-only
     own = arguments if plain is function else inspect.signature(plain).parameters
     if any(a.kind is a.KEYWORD_ONLY for a in own.values()):
         return ()

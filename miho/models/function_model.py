@@ -122,7 +122,7 @@ class FunctionModel(DifferencedModel):
     def __post_init__(self) -> None:
         true_or_false(self, ("batched", "rowwise"), none=True)
         signature, name, source = signature_of(self.function)
-        plain = self._plain
+        plain = plain_of(self.function)
         own = (signature if plain is self.function else inspect.signature(plain)).parameters
         object.__setattr__(self, "name", name)
         columns: dict[str, str] = {}
@@ -275,18 +275,13 @@ class FunctionModel(DifferencedModel):
 
     @property
     def _place(self) -> str:
-        return f"{self.source or self._plain.__module__}: {self.name}"
+        return f"{self.source or plain_of(self.function).__module__}: {self.name}"
 
     @property
     def _called(self) -> Any:
         """The code that a call runs: the function, or the `__call__` method of an object."""
-        kind = type(self._plain)
-        return self._plain if isinstance(self._plain, types.FunctionType) else kind.__call__
-
-    @property
-    def _plain(self) -> Callable[..., Any]:
-        """The function without `functools.partial` around it."""
-        return plain_of(self.function)
+        plain = plain_of(self.function)
+        return plain if isinstance(plain, types.FunctionType) else type(plain).__call__
 
     def _at_line(self, error: Exception) -> str:
         """Return a message with the error of the function and the line of its file."""
