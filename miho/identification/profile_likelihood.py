@@ -114,7 +114,7 @@ def profile_side(
     problem: CurveFit,
     optima: Sequence[Linearised],
     level: float,
-    deadline: Deadline | None,
+    deadline: Deadline,
     side: tuple[int | str, int],
 ) -> Side | None:
     """A side of the profile likelihood of a parameter; None after the deadline.
@@ -133,7 +133,7 @@ def profile_side(
         profiles from all optima, and the interval is the hull of all values within.
     level : float
         Confidence level of the interval, between 0 and 1.
-    deadline : Deadline, optional
+    deadline : Deadline
         The time limit.
     side : tuple of (int or str, int)
         Position of a free parameter or name of a tied one, and a sign of SIGNS.
@@ -145,8 +145,7 @@ def profile_side(
     """
     of, sign = side
     try:
-        if deadline is not None:
-            deadline.check()
+        deadline.check()
         return _side(_SignedRoot(problem, optima, of, level, deadline), sign, level)
     except OutOfTimeError:
         return None
@@ -232,7 +231,7 @@ class _SignedRoot:
         optima: Sequence[Linearised],
         of: int | str,
         level: float,
-        deadline: Deadline | None,
+        deadline: Deadline,
     ) -> None:
         at = optima[0]
         self.branches = [_Branch(problem, each, of) for each in optima]
@@ -255,8 +254,7 @@ class _SignedRoot:
         if value not in self.points:
             fits = [self._on(branch, value) for branch in self.branches]
             fit = min(fits, key=lambda refit: refit.cost)
-            if self._deadline is not None:
-                self._deadline.check()
+            self._deadline.check()
             self.best = min(self.best, fit, key=lambda refit: refit.cost)
             root = float(np.sqrt(max(fit.cost - self._cost, 0.0) / self._unit))
             root = min(root, self._largest)

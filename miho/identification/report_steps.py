@@ -304,14 +304,14 @@ class _Steps:
         parameters: dict[str, int | str] = {}
         for optimum in optima:
             parameters |= profiled_parameters(self.problem, optimum)
-        limit = None if self.requested else self.deadline
+        limit = Deadline() if self.requested else self.deadline
         # Each side of each profile is one task.
         sides = in_blocks(
             self.pool,
             partial(profile_side, self.problem, optima, self.level, limit),
             [(of, sign) for of in parameters.values() for sign in SIGNS],
             None if self.pool is None else REFITS * seconds_of_refit(self.problem, at.theta),
-            (lambda: None) if limit is None else limit.check,
+            limit.check,
         )
         curves: dict[str, Profile] = {}
         late: list[str] = []

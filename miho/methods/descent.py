@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy  # loads its subpackages on first use: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.methods.unit_box import UnitBox
 from miho.optim import Oracle, Space, UnusableValueError
@@ -54,8 +53,14 @@ def descend(
     bool
         Whether the solver converged.
     """
-    solver = _Solver(residuals, jacobian, space, tolerance, looks)
-    return solver.trust_region(start) if method == "trf" else solver.levenberg_marquardt(start)
+    solve = partial(
+        scipy.optimize.least_squares, x_scale="jac", ftol=tolerance, xtol=tolerance, max_nfev=looks
+    )
+    if method == "trf":
+        return _trust_region(residuals, jacobian, start, space, solve)
+    # gtol is the cosine between residuals and derivatives, without a unit.
+    solve = partial(solve, method="lm", gtol=tolerance)
+    return _levenberg_marquardt(residuals, jacobian, start, space, solve)
 
 
 class Lowest:
@@ -97,94 +102,72 @@ def local_search(
     return lowest
 
 
-@dataclass(frozen=True, eq=False)
-class _Solver:
-    """SciPy's solvers for residuals (m,) with derivatives (m, d), in the box of a space."""
+def _trust_region(
+    residuals: Vector, jacobian: Vector, start: Array, space: Space, solve: Callable[..., Any]
+) -> bool:
+    """Trust-region reflective solver over the parameters that change the residuals.
 
-    residuals: Vector
-    jacobian: Vector
-    space: Space
-    tolerance: float
-    looks: int | None
+    These are the parameters with a nonzero derivative. The others are fixed, and freed if they
+    have a nonzero derivative at the end of the search. With a rank-deficient Jacobian, SciPy's
+    steps would always be as long as its trust region and would use all evaluations. `solve` is
+    `scipy.optimize.least_squares` with tolerances.
+    """
+    theta, free = start.copy(), np.zeros(start.size, dtype=bool)
+    converged = True
 
-    def trust_region(self, start: Array) -> bool:
-        """Trust-region reflective solver over the parameters that change the residuals.
+    def configuration(values: Array) -> Array:
+        whole = theta.copy()
+        whole[free] = values
+        return whole
 
-        These are the parameters with a nonzero derivative. The others are fixed, and freed if they
-        have a nonzero derivative at the end of the search. With a rank-deficient Jacobian, SciPy's
-        steps would always be as long as its trust region and would use all evaluations.
-        """
-        theta, free = start.copy(), np.zeros(start.size, dtype=bool)
-        converged = True
-        while not free.all():
-            start_values = self.residuals(theta), self.jacobian(theta)
-            matters = start_values[1].any(axis=0)
-            if not (matters & ~free).any():
-                break
-            free |= matters
-            theta, converged = self._over(free, theta, start_values)
-        return converged
+    # The residuals and derivatives at `theta` are not evaluated again.
+    def look(values: Array) -> Array:
+        point = configuration(values)
+        return known if np.array_equal(point, theta) else residuals(point)
 
-    def _over(
-        self, free: NDArray[np.bool_], theta: Array, start_values: tuple[Array, Array]
-    ) -> tuple[Array, bool]:
-        """Solve over the `free` parameters (d,) from `theta`: the end, and whether it converged.
+    def slopes(values: Array) -> Array:
+        point = configuration(values)
+        columns = known_slopes if np.array_equal(point, theta) else jacobian(point)
+        # A selection of all columns would have another memory order and other rounding.
+        return columns if free.all() else columns[:, free]
 
-        `start_values` are the residuals and derivatives at `theta`, which are not evaluated again.
-        """
-
-        def configuration(values: Array) -> Array:
-            whole = theta.copy()
-            whole[free] = values
-            return whole
-
-        def look(values: Array) -> Array:
-            point = configuration(values)
-            return start_values[0] if np.array_equal(point, theta) else self.residuals(point)
-
-        def slopes(values: Array) -> Array:
-            point = configuration(values)
-            columns = start_values[1] if np.array_equal(point, theta) else self.jacobian(point)
-            # A selection of all columns would have another memory order and other rounding.
-            return columns if free.all() else columns[:, free]
-
+    while not free.all():
+        known, known_slopes = residuals(theta), jacobian(theta)
+        matters = known_slopes.any(axis=0)
+        if not (matters & ~free).any():
+            break
+        free |= matters
         # gtol is an absolute tolerance, but the unit of the residuals is unknown.
-        bounds = self.space.low[free], self.space.high[free]
-        solution = self._solution(look, theta[free], slopes, method="trf", bounds=bounds, gtol=None)
-        return configuration(solution.x), solution.status > 0
+        bounds = space.low[free], space.high[free]
+        solution = solve(look, theta[free], jac=slopes, method="trf", bounds=bounds, gtol=None)
+        theta, converged = configuration(solution.x), solution.status > 0
+    return bool(converged)
 
-    def levenberg_marquardt(self, start: Array) -> bool:
-        """MINPACK's solver over angles u with x = (1 + sin u) / 2 in the unit cube.
 
-        This is the transformation of MINUIT (James and Roos, Computer Physics Communications 10,
-        1975): all evaluations are inside the box, a start on a bound cannot leave it, and progress
-        towards a solution on a bound is slow. MINPACK refuses fewer residuals than parameters, so
-        zeros are appended.
-        """
-        box = UnitBox(self.space)
+def _levenberg_marquardt(
+    residuals: Vector, jacobian: Vector, start: Array, space: Space, solve: Callable[..., Any]
+) -> bool:
+    """MINPACK's solver over angles u with x = (1 + sin u) / 2 in the unit cube.
 
-        def configuration(u: Array) -> Array:
-            return box.theta((1 + np.sin(u)) / 2)
+    This is the transformation of MINUIT (James and Roos, Computer Physics Communications 10,
+    1975): all evaluations are inside the box, a start on a bound cannot leave it, and progress
+    towards a solution on a bound is slow. MINPACK refuses fewer residuals than parameters, so
+    zeros are appended. `solve` is `scipy.optimize.least_squares` with tolerances.
+    """
+    box = UnitBox(space)
 
-        def tall(rows: Array) -> Array:
-            lacking = max(0, start.size - len(rows))
-            return np.concatenate((rows, np.zeros((lacking, *rows.shape[1:]))))
+    def configuration(u: Array) -> Array:
+        return box.theta((1 + np.sin(u)) / 2)
 
-        def look(u: Array) -> Array:
-            return tall(self.residuals(configuration(u)))
+    def tall(rows: Array) -> Array:
+        lacking = max(0, start.size - len(rows))
+        return np.concatenate((rows, np.zeros((lacking, *rows.shape[1:]))))
 
-        def slopes(u: Array) -> Array:
-            theta = configuration(u)
-            return tall(self.jacobian(theta) * box.slope(theta) * np.cos(u) / 2)
+    def look(u: Array) -> Array:
+        return tall(residuals(configuration(u)))
 
-        # gtol is the cosine between residuals and derivatives, without a unit.
-        angles = np.arcsin(2 * box.x(start) - 1)
-        solution = self._solution(look, angles, slopes, method="lm", gtol=self.tolerance)
-        return bool(solution.status > 0)
+    def slopes(u: Array) -> Array:
+        theta = configuration(u)
+        return tall(jacobian(theta) * box.slope(theta) * np.cos(u) / 2)
 
-    def _solution(self, look: Vector, start: Array, slopes: Vector, **settings: Any) -> Any:
-        """SciPy's result from a start, with the tolerance and the largest number of evaluations."""
-        return scipy.optimize.least_squares(
-            look, start, jac=slopes, x_scale="jac", ftol=self.tolerance, xtol=self.tolerance,
-            max_nfev=self.looks, **settings,
-        )  # fmt: skip
+    return bool(solve(look, np.arcsin(2 * box.x(start) - 1), jac=slopes).status > 0)
