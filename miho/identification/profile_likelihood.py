@@ -69,39 +69,6 @@ class Profile:
         return low, high
 
 
-class _Target(NamedTuple):
-    """The profiled parameter: a free one at a position, or a tied one by name.
-
-    `gradient` (d,) holds its derivatives with respect to the free parameters. `low` and `high` are
-    its range, and limits of the interval as well if `limited`.
-    """
-
-    name: str
-    position: int | None
-    centre: float
-    gradient: Array
-    low: float
-    high: float
-    limited: bool = False
-
-
-def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
-    model, space = problem.model, problem.space
-    if isinstance(of, int):
-        p = space.parameters[of]
-        return _Target(p.name, of, float(at.theta[of]), np.eye(len(space))[of], p.low, p.high)
-    if not isinstance(model, Tied):
-        raise ValueError(f"{of} is not a tied parameter of {problem.name}")
-    ties, place = model.ties, model.ties.names.index(of)
-    centre = float(ties.values(at.theta[None])[0, place])
-    low, high = ties.limits.get(of, (-np.inf, np.inf))
-    for p in reported_space(space).parameters:
-        if p.name == of:
-            low, high = p.low, p.high
-    slopes = ties.value_slopes(at.theta[None])[0, place]
-    return _Target(of, None, centre, slopes, low, high, limited=of in ties.limits)
-
-
 class Side(NamedTuple):
     """One side of a profile: the end of the interval, tau by value, and the best refit."""
 
@@ -166,47 +133,66 @@ def _side(tau: _SignedRoot, sign: int, level: float) -> Side:
     neighbours and a better one may lie closer. From there it continues to the end for dependent
     rows.
     """
-    at, target = tau.sized.at, tau.sized.target
-    quantile, bound = at.quantile(level), target.low if sign < 0 else target.high
-    first = at.independent.quantile(level) / tau.sized.widening(level)
-    within = [branch for branch in tau.branches if abs(tau(branch.target.centre)) < first]
-    outermost = max(within, key=lambda branch: sign * branch.target.centre)
-    error = outermost.error if outermost.has_error else tau.sized.error
+    at, sized = tau.sized.at, tau.sized
+    quantile, bound = at.quantile(level), sized.low if sign < 0 else sized.high
+    first = at.independent.quantile(level) / sized.widening(level)
+    within = [branch for branch in tau.branches if abs(tau(branch.centre)) < first]
+    outermost = max(within, key=lambda branch: sign * branch.centre)
+    error = outermost.error if outermost.has_error else sized.error
     step = at.independent.quantile(level) * error
-    end = _end(tau, sign, bound, first, step, outermost.target.centre)
+    end = _end(tau, sign, bound, first, step, outermost.centre)
     if np.isfinite(end) and quantile > first + CLOSE:
         end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
-    end = bound if np.isinf(end) and target.limited else end
+    end = bound if np.isinf(end) and sized.limited else end
     return Side(end, tau.points.copy(), tau.best)
 
 
 class _Branch:
     """An optimum as a start of refits, with the parameters (d,) of these refits by value.
 
-    `error` is the standard error of the profiled parameter there.
+    The profiled parameter is a free one at `position`, or a tied one. At the optimum it has the
+    value `centre`, the standard error `error`, and the derivatives `gradient` (d,) with respect to
+    the free parameters. `low` and `high` are its range, and limits of the interval as well if
+    `limited`.
     """
 
     def __init__(self, problem: CurveFit, at: Linearised, of: int | str) -> None:
-        self.at, self.target = at, _target(problem, at, of)
+        model, space = problem.model, problem.space
+        self.at, self.limited = at, False
+        self.position = of if isinstance(of, int) else None
+        if isinstance(of, int):
+            p = space.parameters[of]
+            self.centre, self.low, self.high = float(at.theta[of]), p.low, p.high
+            self.gradient = np.eye(len(space))[of]
+        elif isinstance(model, Tied):
+            ties, place = model.ties, model.ties.names.index(of)
+            self.centre = float(ties.values(at.theta[None])[0, place])
+            self.gradient = ties.value_slopes(at.theta[None])[0, place]
+            self.low, self.high = ties.limits.get(of, (-np.inf, np.inf))
+            self.limited = of in ties.limits
+            for p in reported_space(space).parameters:
+                if p.name == of:
+                    self.low, self.high = p.low, p.high
+        else:
+            raise ValueError(f"{of} is not a tied parameter of {problem.name}")
         self.error = self._error(at.independent)
         self.has_error = bool(np.isfinite(self.error) and self.error > 0)
-        self._direction = _conditional_direction(at, self.target.gradient)
-        space = problem.space
+        self._direction = _conditional_direction(at, self.gradient)
         low, high = space.bounds
         share = (space.encode(at.theta) - low) / (high - low)
         self.inside = space.decode(low + (high - low) * np.clip(share, INSIDE, 1 - INSIDE))
-        self.thetas = {self.target.centre: at.theta}
+        self.thetas = {self.centre: at.theta}
 
     def _error(self, at: Linearised) -> float:
-        if self.target.position is not None:
-            return float(at.standard_errors[self.target.position])
-        return float(at.spread(self.target.gradient[None])[0])
+        if self.position is not None:
+            return float(at.standard_errors[self.position])
+        return float(at.spread(self.gradient[None])[0])
 
     def widening(self, level: float) -> float:
         """The widening factor of a profile for dependent rows, for tau up to `at.quantile`."""
         if self.at.dependence is None:
             return 1.0
-        quantile = float(self.at.quantiles(self.target.gradient[None], level)[0])
+        quantile = float(self.at.quantiles(self.gradient[None], level)[0])
         return quantile / self.at.quantile(level) * (self._error(self.at) / self.error)
 
     def nearest(self, value: float) -> tuple[Array, Array]:
@@ -235,17 +221,17 @@ class _SignedRoot:
     ) -> None:
         at = optima[0]
         self.branches = [_Branch(problem, each, of) for each in optima]
-        target = self.branches[0].target
-        self._problem, self._target, self._deadline = problem, target, deadline
+        first = self.branches[0]
+        self._problem, self._of, self._deadline = problem, of, deadline
         self._largest = WALL * at.quantile(level)
         self._cost = float(np.sum(problem.residuals(at.theta) ** 2))
         variance = error_variance(problem, at)
-        self.sized = next(filter(lambda branch: branch.has_error, self.branches), self.branches[0])
+        self.sized = next(filter(lambda branch: branch.has_error, self.branches), first)
         self._unit = variance * self.sized.widening(level) ** 2
         self._weight = PINNED * float(np.sqrt(variance) / self.sized.error)
         # A refit would waste many steps along directions that the data do not determine.
-        self._fixed = {*_superfluous(at), *([] if target.position is None else [target.position])}
-        self.centre = target.centre
+        self._fixed = {*_superfluous(at), *([of] if isinstance(of, int) else [])}
+        self.centre = first.centre
         self.points = {self.centre: 0.0}
         self.best = Refit(at.theta, self._cost)
 
@@ -276,10 +262,10 @@ class _SignedRoot:
 
     def _refit(self, guess: Array, value: float) -> Refit:
         pin, model = None, self._problem.model
-        if self._target.position is not None:
-            guess[self._target.position] = value
+        if isinstance(self._of, int):
+            guess[self._of] = value
         elif isinstance(model, Tied):
-            pin = Pin(model.ties, self._target.name, value, self._weight)
+            pin = Pin(model.ties, self._of, value, self._weight)
         return refit(
             self._problem, guess, fixed=self._fixed, tolerance=1e-8, deadline=self._deadline,
             pin=pin,
