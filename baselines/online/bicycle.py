@@ -18,6 +18,7 @@ from baselines.online.streams import (
     corners,
     period,
     present,
+    space_about,
     spoil,
     straighten,
     swing_near_peak,
@@ -26,7 +27,6 @@ from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.models.symbolic import Symbol, trace
 from miho.models.traced import TracedExpression
-from miho.optim import Parameter, Space
 from miho.quantities import Array
 from miho.validate import one_of
 
@@ -140,13 +140,7 @@ def bicycle_problem(estimate: Array) -> tuple[CurveFit, ...]:
     slip = np.linspace(-0.12, 0.12, 25)
     inputs = {"vx": np.full(25, 20.0), "vy": -20 * slip, "yaw_rate": np.zeros(25),
               "steering": np.zeros(25), "drive": np.zeros(25)}  # fmt: skip
-    units = [*OneStep.parameters.values()]
-    space = Space(
-        tuple(
-            Parameter(name, unit, 0.2 * value, 3 * value)
-            for name, unit, value in zip(NAMES, units, NOMINAL, strict=True)
-        )
-    )
+    space = space_about(OneStep.parameters, NOMINAL)
     fits = []
     for k, (output, sigma) in enumerate(zip(OUTPUTS, NOISE, strict=True)):
         model = OneStep(k)

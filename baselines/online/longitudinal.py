@@ -8,12 +8,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from baselines.online.streams import STEP, Stream
+from baselines.online.streams import STEP, Stream, space_about
 from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.models.symbolic import Symbol, trace
 from miho.models.traced import TracedExpression
-from miho.optim import Parameter, Space
 from miho.quantities import Array
 from miho.validate import one_of
 
@@ -105,12 +104,6 @@ def longitudinal_problem(estimate: Array) -> CurveFit:
 
     The offline `estimate` (3,) makes the rows.
     """
-    space = Space(
-        tuple(
-            Parameter(name, unit, 0.2 * value, 3 * value)
-            for (name, unit), value in zip(Acceleration.parameters.items(), NOMINAL, strict=True)
-        )
-    )
     inputs = {
         "traction": np.array([TRACTION, 0.0, 0.0]),
         "pressure": np.array([0.0, PRESSURE, 0.0]),
@@ -120,6 +113,7 @@ def longitudinal_problem(estimate: Array) -> CurveFit:
     output = model.predict(estimate[None], *inputs.values())[0]
     units = {**Acceleration.inputs, "acceleration": "m/s^2"}
     data = Dataset("car", {**inputs, "acceleration": output}, units, "acceleration")
+    space = space_about(Acceleration.parameters, NOMINAL)
     return CurveFit(model, data, space, sigma=NOISE)
 
 

@@ -185,6 +185,16 @@ def tire_problem(estimate: Array) -> CurveFit:
     return CurveFit(Pacejka(), data, space, sigma=FORCE_NOISE)
 
 
+def space_about(units: Mapping[str, str], nominal: Array) -> Space:
+    """Return the space from 0.2 to 3 times the nominal value of each parameter."""
+    return Space(
+        tuple(
+            Parameter(name, unit, 0.2 * value, 3 * value)
+            for (name, unit), value in zip(units.items(), nominal, strict=True)
+        )
+    )
+
+
 def corners(rng: np.random.Generator, rows: int) -> Array:
     """Return slip angles [rad] (rows,) of corners of 2 to 6 s, half of them near the peak."""
     slip = np.zeros(rows)
