@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from miho.fitting.datasets import Datasets
 from miho.identification.inverse_root import INVOLVED, SINGULAR, SMALLEST
 from miho.models.expression import Expression
-from miho.models.model import ROOT, Model
+from miho.models.model import ROOT, Model, rows_of
 from miho.optim import Space
 from miho.quantities import Array
 
@@ -82,10 +82,11 @@ class Batch:
             with np.errstate(all="ignore"):
                 values = self.model.value(tuple(inputs), tuple(thetas.T[:, :, None]))
         elif self._alike:
-            values = self._predicted(thetas, self.columns[:, 0])
+            values = rows_of(self.model.predict, thetas, *self.columns[:, 0])
         else:
             values = self._padded(
-                self._predicted(theta[None], part)[0] for theta, part in self._own(thetas, which)
+                rows_of(self.model.predict, theta[None], *part)[0]
+                for theta, part in self._own(thetas, which)
             )
         return np.where(self.real[which], values - self.outputs[which], 0.0)
 
@@ -99,7 +100,7 @@ class Batch:
             return np.empty((0, len(self.rows), len(self.space)))
         values = np.empty((count, self.outputs.shape[1]))
         for k, theta in enumerate(thetas):
-            values[k] = self._predicted(theta[None], self.columns[:, 0])[0]
+            values[k] = rows_of(self.model.predict, theta[None], *self.columns[:, 0])[0]
             progress(0)
         with np.errstate(over="ignore", invalid="ignore"):
             squares = [
@@ -108,15 +109,6 @@ class Batch:
             ]
         order = [np.argsort(np.nan_to_num(each, nan=np.inf), axis=1)[:, :best] for each in squares]
         return thetas[np.concatenate(order).T]
-
-    def _predicted(self, thetas: Array, columns: Array) -> Array:
-        """Values (n, N) of the model; NaN for each configuration at which it raises ValueError."""
-        try:
-            return self.model.predict(thetas, *columns)
-        except ValueError:
-            if len(thetas) == 1:
-                return np.full((1, columns.shape[1]), np.nan)
-            return np.concatenate([self._predicted(theta[None], columns) for theta in thetas])
 
     def _jacobian(self, theta: Array, columns: Array) -> Array:
         """Derivatives (N, d) of the model; NaN if it raises ValueError nearby."""
@@ -164,7 +156,10 @@ class Batch:
         for k, step in enumerate((ROOT * width).T):
             moved = np.zeros_like(thetas)
             moved[:, k] = step
-            ends = (self._predicted(thetas + s * moved, self.columns[:, 0]) for s in (1, -1))
+            ends = (
+                rows_of(self.model.predict, thetas + s * moved, *self.columns[:, 0])
+                for s in (1, -1)
+            )
             slopes.append(np.subtract(*ends) / (2 * step)[:, None])
         return np.stack(slopes, axis=-1)
 

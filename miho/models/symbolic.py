@@ -213,11 +213,6 @@ def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
     return b * above ** (b - 1) * slope, z * operation("log", above)
 
 
-def _above(value: Any) -> Symbol:
-    """Return the maximum of a value and TINY."""
-    return operation("maximum", value, TINY)
-
-
 def _bounded(value: Any) -> Symbol:
     """Return a partial derivative with an upper bound, so that 0 times it is 0."""
     if isinstance(value, Symbol) and value.operation in (ARGUMENT, CONSTANT):
@@ -249,14 +244,14 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     "sin": ("np.sin({})", lambda z, a: (np.cos(a),)),
     "cos": ("np.cos({})", lambda z, a: (-np.sin(a),)),
     "tan": ("np.tan({})", lambda z, a: (1 + z * z,)),
-    "arcsin": ("np.arcsin({})", lambda z, a: (1 / _above(np.sqrt(1 - a * a)),)),
-    "arccos": ("np.arccos({})", lambda z, a: (-1 / _above(np.sqrt(1 - a * a)),)),
+    "arcsin": ("np.arcsin({})", lambda z, a: (1 / np.maximum(np.sqrt(1 - a * a), TINY),)),
+    "arccos": ("np.arccos({})", lambda z, a: (-1 / np.maximum(np.sqrt(1 - a * a), TINY),)),
     "arctan": ("np.arctan({})", lambda z, a: (1 / (1 + a * a),)),
     "sinh": ("np.sinh({})", lambda z, a: (_bounded(np.cosh(a)),)),
     "cosh": ("np.cosh({})", lambda z, a: (_bounded(np.sinh(a)),)),
     "tanh": ("np.tanh({})", lambda z, a: (1 - z * z,)),
     "arcsinh": ("np.arcsinh({})", lambda z, a: (1 / np.sqrt(1 + a * a),)),
-    "arccosh": ("np.arccosh({})", lambda z, a: (1 / _above(np.sqrt(a * a - 1)),)),
+    "arccosh": ("np.arccosh({})", lambda z, a: (1 / np.maximum(np.sqrt(a * a - 1), TINY),)),
     "arctanh": ("np.arctanh({})", lambda z, a: (1 / (1 - a * a),)),
     "hypot": (
         "np.hypot({}, {})",
@@ -264,7 +259,7 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     ),
     "arctan2": (
         "np.arctan2({}, {})",
-        lambda z, y, x: (x / _above(x * x + y * y), -y / _above(x * x + y * y)),
+        lambda z, y, x: (x / np.maximum(x * x + y * y, TINY), -y / np.maximum(x * x + y * y, TINY)),
     ),
     "minimum": (
         "np.minimum({}, {})",
