@@ -221,16 +221,16 @@ def fit(
     with opened as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
+            at = start
             if from_journal:
                 from miho.fitting.expensive_fit import best_known
-                from miho.fitting.one_descent import descended
 
-                return descended(problem, best_known(spread(problem, evaluations)), evaluations)
-            if start is None:
+                at = best_known(spread(problem, evaluations))
+            if at is None:
                 return searched(problem, method, budget, seed, evaluations)
             from miho.fitting.one_descent import descended
 
-            fit = descended(problem, start, evaluations)
+            fit = descended(problem, at, evaluations)
             if sought is not own:
                 from miho.identification.constraints import check_within
 
