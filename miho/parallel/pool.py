@@ -6,11 +6,12 @@ import contextlib
 import functools
 import itertools
 import multiprocessing
+import operator
 import os
 import sys
 import threading
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
@@ -301,12 +302,12 @@ class MapExecutor(Executor):
 
     def __init__(self, mapped: Callable[..., Iterable[Any]]) -> None:
         self._map = mapped
-        self._waiting: list[tuple[Future[Any], Any]] = []
+        self._waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Store a call until `flush`."""
         future: Future[Any] = Future()
-        self._waiting.append((future, (fn, args)))
+        self._waiting.append((future, functools.partial(fn, *args, **kwargs)))
         return future
 
     def flush(self) -> None:
@@ -315,7 +316,7 @@ class MapExecutor(Executor):
             calls, self._waiting = self._waiting, []
             calls = [call for call in calls if call[0].set_running_or_notify_cancel()]
             try:
-                values = self._map(_apply, [call for _, call in calls])
+                values = self._map(operator.call, [call for _, call in calls])
                 for (future, _), value in zip(calls, values, strict=True):
                     future.set_result(value)
             except BaseException as error:
@@ -324,11 +325,6 @@ class MapExecutor(Executor):
                         future.set_exception(WorkersGoneError(_broken(error), again=False))
                 if not isinstance(error, Exception):  # for example, a second Ctrl-C
                     raise
-
-
-def _apply(call: tuple[Callable[..., Any], Sequence[Any]]) -> Any:
-    function, args = call
-    return function(*args)
 
 
 def _pickled(function: Callable[[Any], Any]) -> bytes:
