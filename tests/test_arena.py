@@ -48,17 +48,17 @@ METHODS += [
 
 def test_runs_come_problem_by_problem_and_methods_side_by_side() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
-    planned = plan_arena(composed(overrides), overrides)
+    plan, left_out = plan_arena(composed(overrides), overrides)
     names = tuple(composed(overrides).comparison.methods)
-    identities = [request.identity for request in planned.plan]
+    identities = [request.identity for request in plan]
     assert [(i.problem, i.seed, i.optimizer) for i in identities] == [
         (problem, seed, name)
         for problem in ("torque_15", "brake_static")
         for seed in range(2)
         for name in names
     ]
-    assert len({request.identity.id for request in planned.plan}) == 12
-    assert not planned.left_out
+    assert len({request.identity.id for request in plan}) == 12
+    assert not left_out
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
 ) -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
     planned = plan_arena(composed(overrides), overrides)
-    lost = State(planned.plan[0], Status.LOST, "it was lost", reason="killed by SIGKILL")
+    lost = State(planned[0][0], Status.LOST, "it was lost", reason="killed by SIGKILL")
     monkeypatch.setattr("experiments.app.comparing.plan_arena", lambda *_: planned)
     monkeypatch.setattr(comparing, "run", lambda *_, **__: PlanOutcome([lost]))
     monkeypatch.setattr(sys, "argv", ["compare", *overrides, f"root={tmp_path / 'runs'}"])
@@ -229,8 +229,8 @@ def test_who_was_cut_by_seconds(tmp_path: Path) -> None:
 
 def test_runs_end_at_the_target_of_their_problem() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS, "comparison.target=1.5"]
-    planned = plan_arena(composed(overrides), overrides)
-    for request in planned.plan:
+    plan, _ = plan_arena(composed(overrides), overrides)
+    for request in plan:
         optimum = recorded_optimum(composed([f"problem={request.identity.problem}"]))
         assert optimum is not None
         target = json.loads(request.setting)["budget"]["target"]  # of the loss, not of its root
@@ -252,9 +252,9 @@ def test_problems_without_data_are_left_out_and_named(
     monkeypatch.setattr("miho.vehicle.data.seong.sample_file.__defaults__", nowhere)
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15,brake_static]"]
-    planned = plan_arena(composed(overrides), overrides)
-    assert {request.identity.problem for request in planned.plan} == {"torque_15", "brake_static"}
-    assert "cannot be downloaded" in planned.left_out["sample_a_wide"]
+    plan, left_out = plan_arena(composed(overrides), overrides)
+    assert {request.identity.problem for request in plan} == {"torque_15", "brake_static"}
+    assert "cannot be downloaded" in left_out["sample_a_wide"]
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide]"]
     with pytest.raises(ConfigError, match="cannot be downloaded"):
         plan_arena(composed(overrides), overrides)
@@ -267,9 +267,9 @@ def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPa
     overrides = [*ARENA, *METHODS, PROBLEMS]
     cfg = composed(overrides)
     cfg.comparison.methods = {"dehb": {}} | {name: {} for name in KEPT}
-    planned = plan_arena(cfg, overrides)
-    assert {request.identity.optimizer for request in planned.plan} == set(KEPT)
-    assert planned.left_out == {
+    plan, left_out = plan_arena(cfg, overrides)
+    assert {request.identity.optimizer for request in plan} == set(KEPT)
+    assert left_out == {
         "dehb": "optimizer: dehb needs a library that is missing (dehb); pip install 'miho[rivals]'"
     }
 

@@ -6,7 +6,6 @@ import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import filter as filter_names
 from pathlib import Path
 from typing import Any
@@ -41,18 +40,18 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
     """Runs of an arena, and a note on its size for figures."""
     _replace_methods(cfg, overrides)
     _check(cfg, overrides)
-    arena = plan_arena(cfg, overrides)
-    for name, reason in arena.left_out.items():
+    plan, left_out = plan_arena(cfg, overrides)
+    for name, reason in left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
-    problems = len({request.identity.problem for request in arena.plan})
+    problems = len({request.identity.problem for request in plan})
     workers = cfg.sweep.workers
     size = [f"{problems} problems", f"{workers} run{'s' * (workers != 1)} at a time"]
-    if arena.left_out:
-        size.append(f"without {', '.join(arena.left_out)}, which were not available")
+    if left_out:
+        size.append(f"without {', '.join(left_out)}, which were not available")
     note = note_on_size(cfg, size, cfg.comparison.repetitions)
     if cfg.comparison.target is not None:
         note += f", runs end at {cfg.comparison.target:g} times the optimum"
-    return list(arena.plan), note
+    return plan, note
 
 
 def _replace_methods(cfg: DictConfig, overrides: Sequence[str]) -> None:
@@ -116,14 +115,6 @@ def chosen_problems(
     return list(names)
 
 
-@dataclass(frozen=True)
-class ArenaPlan:
-    """Runs of an arena, and the problems and methods that are left out, with the reason."""
-
-    plan: tuple[Request, ...]
-    left_out: Mapping[str, str]
-
-
 def chosen_method(name: str, settings: Mapping[str, Any]) -> list[str]:
     """Overrides of Hydra that choose a method of conf/optimizer and replace some of its settings.
 
@@ -133,12 +124,12 @@ def chosen_method(name: str, settings: Mapping[str, Any]) -> list[str]:
     return [f"optimizer={name}", *replaced]
 
 
-def plan_arena(cfg: DictConfig, overrides: Sequence[str]) -> ArenaPlan:
+def plan_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], dict[str, str]]:
     """Compose and check every problem and every method of `cfg.comparison` once.
 
     A problem is left out if its data are not available, and a method if its library is not
-    installed. Raises ConfigError for other faults, and if fewer methods or families of problems are
-    left than Friedman's test needs.
+    installed; the reasons are returned by name. Raises ConfigError for other faults, and if fewer
+    methods or families of problems are left than Friedman's test needs.
 
     Runs are ordered by problem, so that a worker builds each problem once, and then by seed, so
     that all methods run under the same load of the machine.
@@ -195,7 +186,7 @@ def plan_arena(cfg: DictConfig, overrides: Sequence[str]) -> ArenaPlan:
             f"expected at least {METHODS} on {FAMILIES}, so add to comparison.methods or "
             f"comparison.problems{reasons}"
         )
-    return ArenaPlan(tuple(plan), left_out)
+    return plan, left_out
 
 
 def draw(

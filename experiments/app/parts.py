@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -44,7 +44,9 @@ def with_local(config: Mapping[str, Any], space: Mapping[str, Any]) -> dict[str,
 
 def model_files(config: Mapping[str, Any]) -> list[str]:
     """Files of the user that a configuration names as models."""
-    return list(dict.fromkeys(_paths(config)))
+    models = [nodes["model"] for nodes in part_nodes(config).values()]
+    paths = [model.get("path") for model in models if isinstance(model, Mapping)]
+    return list(dict.fromkeys(str(path) for path in paths if path is not None))
 
 
 def own_files(config: Mapping[str, Any]) -> list[str]:
@@ -52,10 +54,3 @@ def own_files(config: Mapping[str, Any]) -> list[str]:
     method = config["optimizer"]
     path = method.get("path") if isinstance(method, Mapping) else None
     return [*model_files(config), *([] if path is None else [str(path)])]
-
-
-def _paths(config: Mapping[str, Any]) -> Iterator[str]:
-    for nodes in part_nodes(config).values():
-        model = nodes["model"]
-        if isinstance(model, Mapping) and model.get("path") is not None:
-            yield str(model["path"])

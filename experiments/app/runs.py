@@ -9,7 +9,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import attrgetter
@@ -92,7 +92,13 @@ def run(
     if settings.timed and fresh:
         set_aside_disturbed(unique)
     at_once: int | str = HERE if here else settings.workers
-    _refuse_and_list(unique, command, overrides, fresh=fresh, in_process=here)
+    # The manifest of a sweep in each of its roots lets later commands notice lost runs.
+    for root in dict.fromkeys(request.root for request in unique):
+        identities = {r.words: r.identity for r in unique if r.root == root}
+        words = None if here else overrides
+        refuse_changes(Store(Path(root)), identities, fresh=fresh, overrides=words)
+        if not here:
+            write_manifest(Path(root), overrides, identities, command)
     try:
         try:
             _do(unique, settings, at_once, runs.states)
@@ -118,32 +124,15 @@ def set_aside_disturbed(plan: Sequence[Request]) -> None:
             store.set_aside(stored.folder)
 
 
-def _refuse_and_list(
-    plan: Sequence[Request],
-    command: str,
-    overrides: Sequence[str],
-    *,
-    fresh: bool,
-    in_process: bool,
-) -> None:
-    """Raise ResumeRefused if stored runs used other code, data or settings.
-
-    Write the manifest of a sweep to each of its roots, so that later commands notice lost runs.
-    """
-    for root in dict.fromkeys(request.root for request in plan):
-        identities = {r.words: r.identity for r in plan if r.root == root}
-        words = None if in_process else overrides
-        refuse_changes(Store(Path(root)), identities, fresh=fresh, overrides=words)
-        if not in_process:
-            write_manifest(Path(root), overrides, identities, command)
-
-
 def _do(
     plan: Sequence[Request], settings: SweepConfig, at_once: int | str, states: list[State]
 ) -> None:
     """Execute a plan and append the state of each request as soon as it is known."""
     in_process = at_once == HERE
-    with _bar(len(plan), at_once) as bar:
+    # A bar on a terminal, otherwise a line per run; runs in this process show one bar each.
+    quiet = in_process or None
+    with tqdm(total=len(plan), desc="runs", smoothing=0.02, disable=quiet) as tqdm_bar:
+        bar = Progress(len(plan), at_once, tqdm_bar)
         todo: list[Request] = []
         executed = _run_here(todo) if in_process else _run_in_workers(todo, settings, at_once)
         for state in chain(_stored_states(plan, todo), executed):
@@ -268,16 +257,6 @@ def _run_in_workers(
             raise Stopped(stop.number)
 
 
-@contextmanager
-def _bar(total: int, at_once: int | str) -> Iterator[Progress]:
-    """A bar on a terminal, otherwise a line per run; runs in this process show one bar each."""
-    if at_once == HERE:
-        yield Progress(total, at_once, None)
-        return
-    with tqdm(total=total, desc="runs", smoothing=0.02, disable=None) as bar:
-        yield Progress(total, at_once, bar)
-
-
 @dataclass
 class Progress:
     """Numbers of finished runs and best errors of a sweep so far."""
@@ -291,11 +270,11 @@ class Progress:
     @property
     def is_log(self) -> bool:
         """Whether each run has a line, because there is no terminal."""
-        return self.bar is not None and bool(self.bar.disable)
+        return self.at_once != HERE and bool(self.bar.disable)
 
     def show(self, state: State) -> None:
         """Count one run and show the progress of the sweep."""
-        if self.bar is None:
+        if self.at_once == HERE:
             return
         self.counts[state.status] += 1
         problem = state.request.identity.problem

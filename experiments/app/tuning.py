@@ -55,49 +55,39 @@ def tune(
         )
     space, fixed = search_space(sweeper.params, arguments, config)
     with _study(sweeper) as study:
-        _tune(study, sweeper, launcher, config, space, fixed)
-
-
-def _tune(
-    study: optuna.Study,
-    sweeper: OptunaSweeper,
-    launcher: Launcher,
-    config: DictConfig,
-    space: dict[str, BaseDistribution],
-    fixed: list[str],
-) -> None:
-    folder = Path(config.hydra.sweep.dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    OmegaConf.save(config, folder / "multirun.yaml")
-    number = 0
-    while (left := sweeper.n_trials - _finished(study)) > 0:
-        trials = [study.ask(space) for _ in range(min(left, sweeper.n_jobs))]
-        batch = [[*fixed, *map("=".join, _texts(trial))] for trial in trials]
-        try:
-            sweeper.validate_batch_is_legal(batch)
-            returned = launcher.launch(batch, initial_job_idx=number)
-            errors = [float(job.return_value) for job in returned]
-        except BaseException:
-            for trial in trials:  # the next call starts with them
-                trial.set_user_attr(ENDED_EARLY, True)
-                study.tell(trial, state=TrialState.FAIL)
-                study.enqueue_trial(trial.params)
-            raise
-        number += len(batch)
-        for trial, error in zip(trials, errors, strict=True):
-            known = math.isfinite(error)
-            study.tell(trial, error if known else None, None if known else TrialState.FAIL)
-            if known:
-                print(f"trial {trial.number}: {error:.6g} with {_in_words(trial)}", flush=True)
-        failed = sum(not math.isfinite(error) for error in errors)
-        if failed > sweeper.max_failure_rate * len(errors):
-            print(
-                f"{failed} of {len(errors)} trials have no result, so the study ends; "
-                "hydra.sweeper.max_failure_rate is the share that may fail",
-                file=sys.stderr,
-            )
-            break
-    _save_best(study, folder)
+        folder = Path(config.hydra.sweep.dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(config, folder / "multirun.yaml")
+        number = 0
+        while (left := sweeper.n_trials - _finished(study)) > 0:
+            trials = [study.ask(space) for _ in range(min(left, sweeper.n_jobs))]
+            batch = [[*fixed, *_words(trial)] for trial in trials]
+            try:
+                sweeper.validate_batch_is_legal(batch)
+                returned = launcher.launch(batch, initial_job_idx=number)
+                errors = [float(job.return_value) for job in returned]
+            except BaseException:
+                for trial in trials:  # the next call starts with them
+                    trial.set_user_attr(ENDED_EARLY, True)
+                    study.tell(trial, state=TrialState.FAIL)
+                    study.enqueue_trial(trial.params)
+                raise
+            number += len(batch)
+            for trial, error in zip(trials, errors, strict=True):
+                known = math.isfinite(error)
+                study.tell(trial, error if known else None, None if known else TrialState.FAIL)
+                if known:
+                    words = " ".join(_words(trial))
+                    print(f"trial {trial.number}: {error:.6g} with {words}", flush=True)
+            failed = sum(not math.isfinite(error) for error in errors)
+            if failed > sweeper.max_failure_rate * len(errors):
+                print(
+                    f"{failed} of {len(errors)} trials have no result, so the study ends; "
+                    "hydra.sweeper.max_failure_rate is the share that may fail",
+                    file=sys.stderr,
+                )
+                break
+        _save_best(study, folder)
 
 
 def search_space(
@@ -204,16 +194,10 @@ def _finished(study: optuna.Study) -> int:
     return sum(ENDED_EARLY not in trial.user_attrs for trial in trials)
 
 
-def _texts(trial: Trial) -> list[tuple[str, str]]:
+def _words(trial: Trial) -> list[str]:
     """Settings of a trial as Hydra reads them; JSON has the same null, true and false."""
-    return [
-        (key, value if isinstance(value, str) else json.dumps(value))
-        for key, value in trial.params.items()
-    ]
-
-
-def _in_words(trial: Trial) -> str:
-    return " ".join(map("=".join, _texts(trial)))
+    texts = ((k, v if isinstance(v, str) else json.dumps(v)) for k, v in trial.params.items())
+    return list(map("=".join, texts))
 
 
 def _save_best(study: optuna.Study, folder: Path) -> None:
