@@ -19,7 +19,7 @@ from experiments.app.arguments import root_folder
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.next_measurement import check_candidates
 from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
-from experiments.app.reports import Options, report_on_root, report_on_run, workers
+from experiments.app.reports import report_on_root, report_on_run, workers
 from miho.identification.report_steps import SECONDS
 from miho.study import read_run
 
@@ -68,17 +68,16 @@ def main() -> int:
         parser.error("--seconds and --check must be above 0")
     if (arguments.candidates is None) != (arguments.rows is None):
         parser.error("--next needs --rows (how many candidates to choose), and --rows needs --next")
-    options = Options(**{name: value for name, value in vars(arguments).items() if name != "path"})
     if ((path := arguments.path) / "result.json").is_file():
         if arguments.quick:
             parser.error("--quick is for a root of runs; this is the folder of one run")
         if arguments.rows is not None:
             check_candidates(arguments.candidates, arguments.rows)
-        return SOME_FAILED if report_on_run(read_run(path), options)[1] else OK
+        return SOME_FAILED if report_on_run(read_run(path), arguments)[1] else OK
     if arguments.candidates is not None or arguments.posterior:
         option = "--posterior" if arguments.posterior else "--next"
         parser.error(f"{option} is for one run; name its folder, ROOT/PROBLEM/METHOD/ID")
-    return report_on_root(path, options)
+    return report_on_root(path, arguments)
 
 
 def run() -> None:

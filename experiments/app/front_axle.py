@@ -55,7 +55,7 @@ class FrontAxle:
         thetas = [np.array(run.result["theta"]) for run in tires]
         axle = loaded_axle(data, thetas)
         losses = sum(run.result["loss"] for run in tires)
-        vehicle = _vehicle()
+        vehicle = car_of_paper()
         rng = np.random.default_rng(seed)
         recordings = [perform(embedded_plant(vehicle), weave) for weave in weaves()]
         logs = [recording.log("weave", Sensors(), rng) for recording in recordings]
@@ -147,7 +147,7 @@ def facts(axle: FrontAxle) -> dict[str, Any]:
     }
 
 
-def _vehicle() -> Vehicle:
+def car_of_paper() -> Vehicle:
     """The car of the paper with the parameters of the simulation."""
     register()
     settings = composed(["+vehicle@drive.vehicle=av21_full"]).drive.vehicle

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from argparse import Namespace
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -31,24 +32,19 @@ def check_candidates(path: Path, rows: int) -> None:
         raise ConfigError(f"--next: there is no file {path}; give a CSV of candidates")
 
 
-def advise(
-    report: Report,
-    stored: StoredRun,
-    path: Path,
-    rows: int,
-    goal: str | None,
-    groups: str | None,
-    folder: Path,
-) -> str:
+def advise(report: Report, stored: StoredRun, options: Namespace, folder: Path) -> str:
     """Choose rows and return the advice as text; write the rows, a table and a figure to `folder`.
 
+    The `options` of `experiments.report` have the file of the candidates, the number of rows or
+    groups to choose, and the goal.
     If the data of the run are from a file, the candidates have the same columns, headers, units and
     signs; else the columns are the inputs of the model in its units. Raises ConfigError and
     CSVError.
     """
+    path, groups = options.candidates, options.groups
     table, frame = read_candidates(report, stored, path, groups)
     try:
-        design = optimal_design(report, frame, rows, goal=goal, groups=groups)
+        design = optimal_design(report, frame, options.rows, goal=options.goal, groups=groups)
     except ValueError as error:
         raise ConfigError(f"--next {path}: {error}") from None
     lines = [table.lines[0], *(table.lines[table.first + row] for row in design.chosen.index)]
@@ -78,11 +74,8 @@ def read_candidates(
             "flip": [name for name in settings.get("flip") or () if name in columns],
             "ranges": {k: v for k, v in (settings.get("ranges") or {}).items() if k in columns},
         }
-        written = {field.name for field in fields(TextFormat)} & set(settings) - {
-            "drop_rows",
-            "missing",
-        }
-        text = TextFormat(**{name: settings[name] for name in written})
+        written = {field.name for field in fields(TextFormat)} - {"drop_rows", "missing"}
+        text = TextFormat(**{name: settings[name] for name in written & set(settings)})
     layout = Layout(columns, units, columns[0], headers, **reading)
     extra = [groups] if groups is not None and groups not in headers else []
     table = TextTable(path, [*headers, *extra], header=True, text=text)

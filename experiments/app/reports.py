@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
+from argparse import ArgumentTypeError, Namespace
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,40 +42,13 @@ from miho.study.manifest import missing_runs
 NO_INTERVALS = "Intervals were not computed; without --quick, they are on a separate page."
 
 
-@dataclass(frozen=True)
-class Options:
-    """Options of a report.
-
-    bootstrap: number of replicates. profile: profile likelihood; None: for a few parameters. level:
-    of the intervals. check: seconds for a search for a better optimum. seconds: limit for the other
-    steps. trust: run models in files. quick: without intervals. output: folder; None: the root.
-    candidates: file of candidate rows, from which to choose `rows` rows or `groups` for a `goal`.
-    posterior: sample it. workers: for refits.
-    """
-
-    bootstrap: int
-    profile: bool | None
-    level: float
-    check: float | None
-    seconds: float | None
-    trust: bool
-    quick: bool
-    output: Path | None
-    candidates: Path | None = None
-    rows: int | None = None
-    goal: str | None = None
-    groups: str | None = None
-    posterior: bool = False
-    workers: str = "1"
-
-
 def workers(text: str) -> str:
     """Check the argument: a number of processes, -1 for one per core, or an address."""
     try:
         if not is_address(text):
             number_of(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+        raise ArgumentTypeError(str(error)) from None
     return text
 
 
@@ -111,7 +84,7 @@ def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -
         )  # fmt: skip
 
 
-def report_on_root(root: Path, options: Options) -> int:
+def report_on_root(root: Path, options: Namespace) -> int:
     """Write the page of all runs of a root, and reports on the best ones; return the exit code."""
     sweep = read_sweep(root)
     reports = {
@@ -124,8 +97,11 @@ def report_on_root(root: Path, options: Options) -> int:
     return SOME_FAILED if any(failed for _, failed in reports.values()) else OK
 
 
-def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
-    """Report on one run; return its entry on a page of all runs, and whether the report failed."""
+def report_on_run(stored: StoredRun, options: Namespace) -> tuple[Best, bool]:
+    """Report on one run; return its entry on a page of all runs, and whether the report failed.
+
+    `options` are the arguments of `experiments.report`.
+    """
     result = stored.result
     folder = report_folder(stored)
     if options.output is not None:
@@ -154,24 +130,14 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
             f"{limits}{report.conclusion.statement}\nreport {path}\n"
         )
     )
-    if options.candidates is not None and options.rows is not None:
-        print(
-            advise(
-                report,
-                stored,
-                options.candidates,
-                options.rows,
-                options.goal,
-                options.groups,
-                folder,
-            )
-        )
+    if options.candidates is not None:
+        print(advise(report, stored, options, folder))
     if options.posterior:
         print(save_posterior(report, stored, folder))
     return Best(*name, parameter_table(report), report.notes, page), False
 
 
-def _report(stored: StoredRun, options: Options) -> Report:
+def _report(stored: StoredRun, options: Namespace) -> Report:
     if stored.result["theta"] is None:
         raise ConfigError("the run found no finite value, so there is no report")
     problem = rebuild(stored, trusted=options.trust)

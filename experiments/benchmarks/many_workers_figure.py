@@ -9,8 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from miho.analysis.figures.house import new_figure
 from miho.analysis.tidy import require_columns
-from miho.figures.style import COLORS, WIDTH, house_style
+from miho.figures.style import COLORS
 
 DASHES = ("solid", (0, (4, 1.5)), (0, (1, 1.2)), "dashdot")
 MARKERS = ("o", "s", "^", "D")
@@ -29,8 +30,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
     was not reached); rows of a kind other than `simulated` are ignored.
     """
     require_columns(frame, {"kind", "method", "workers", "spread", "seed", "seconds"}, "frame")
-    with house_style():
-        figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+    with new_figure(3.8) as figure:
         panels = figure.subplots(1, len(PANELS), sharex=True, sharey=True)
         for ax, (spread, title) in zip(panels, PANELS.items(), strict=True):
             rows = frame[(frame["spread"] == spread) & (frame["kind"] == "simulated")]
@@ -42,7 +42,6 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
         panels[0].set_ylabel("time to 1.01 of the optimum\n[mean evaluations]")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)
-        figure.draw_without_rendering()
     return figure
 
 

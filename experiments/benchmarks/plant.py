@@ -13,12 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import hydra
 import numpy as np
 import pandas as pd
-from omegaconf import OmegaConf
 
-from experiments.app.compose import CONF
+from experiments.app.front_axle import car_of_paper
 from experiments.benchmarks.bars import (
     AT_LEAST,
     AT_MOST,
@@ -45,13 +43,6 @@ CRUISE = Command(0.005, 0.3, 0.0, 4)
 PLANS = 30
 CASES = ((1.0, 62.0), (1.0, 90.0), (0.5, 90.0))
 """Performance factors and top speeds [m/s] of plans; with the last the car has to brake."""
-
-
-def av21() -> Vehicle:
-    """The car of conf/vehicle/av21_full."""
-    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        settings = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
-    return Vehicle.from_settings(settings)  # type: ignore[arg-type]
 
 
 def held(car: DoubleTrack, command: Command, period: float, count: int) -> Callable[[], object]:
@@ -118,7 +109,7 @@ def plans(vehicle: Vehicle) -> pd.DataFrame:
 
 def measure(quick: bool) -> Measured:
     """Measure speed, accuracy and plans."""
-    vehicle = av21()
+    vehicle = car_of_paper()
     car = embedded_plant(vehicle)
     fast, planned = speeds(car, quick), plans(vehicle)
     laps = [lap_time(vehicle, step) for step in (1e-3, 5e-4)]

@@ -22,6 +22,7 @@ from tqdm import tqdm
 import miho
 from experiments.check import arguments
 from experiments.check.coverage import HEAD, share_text
+from experiments.check.uneven_spread import decay
 from miho import Fit, Part
 from miho.optim.seeds import stream
 from miho.quantities import Array
@@ -29,11 +30,6 @@ from miho.quantities import Array
 T = np.linspace(0, 2, 40)
 NOISE = 0.05
 Truth = dict[str, float]
-
-
-def decay(t: Array, a: float, b: float) -> Array:
-    """A decay."""
-    return a * np.exp(-b * t)
 
 
 def two(t: Array, a: float, b: float, c: float, d: float) -> Array:

@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 
 from experiments.benchmarks.bars import machine
 from experiments.check import arguments
+from experiments.check.coverage import magic_formula
 from experiments.check.families import drawn
 from miho import MIHOGN, Budget, CurveFit, minimize
 from miho.quantities import Array
@@ -57,14 +58,12 @@ class Curve(NamedTuple):
         return 2 * float(descent.cost) / self.x.size
 
 
-def _tire(x: Array, B: float, C: float, D: float, E: float) -> Array:
-    return D * np.sin(C * np.arctan(B * x - E * (B * x - np.arctan(B * x))))
-
-
 CURVES = {
     "decay": Curve(lambda x, a, b: a * np.exp(-b * x), (2.5, 1.3), np.linspace(0, 4, 50), 0.05),
-    "tire": Curve(_tire, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E"),
-    "tire, E <= 1": Curve(_tire, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E", 1.0),
+    "tire": Curve(magic_formula, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E"),
+    "tire, E <= 1": Curve(
+        magic_formula, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E", 1.0
+    ),
     "peak": Curve(
         lambda x, a, c, w: a * np.exp(-(((x - c) / w) ** 2)), (3, 5, 1.2), np.linspace(0, 10, 80),
         0.1,

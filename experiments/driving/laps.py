@@ -146,8 +146,10 @@ def lap_results(drive: Drive, driver: Driver, settings: DictConfig) -> dict[str,
     error, friction = drive["vx"] - drive["v_des"], settings.road_friction
     part = (drive["u_throttle"] > PART[0]) & (drive["u_throttle"] < PART[1])
     remaining = settings.distance - float(drive["distance"][-1])
-    lap_time: dict[str, float | str]
-    lap_time = {} if drive.stopped else {"lap_time": _finish(drive, remaining)}
+    lap_time: dict[str, float | str] = {}
+    if not drive.stopped:  # the remaining distance is driven at the last speed
+        time = drive["time"][-1] - drive["time"][0] + remaining / drive["vx"][-1]
+        lap_time["lap_time"] = float(time)
     return lap_time | {
         "stopped": drive.stopped,
         "e_y": float(np.abs(drive["e_y"]).max()),
@@ -156,11 +158,6 @@ def lap_results(drive: Drive, driver: Driver, settings: DictConfig) -> dict[str,
         "part_throttle": float(np.sqrt(np.mean(error[part] ** 2))) if part.any() else 0.0,
         "margin": 1 - float(true_use(drive, replace(driver, speed=brake), friction).max()),
     }
-
-
-def _finish(drive: Drive, remaining: float) -> float:
-    """Lap time [s]; the `remaining` distance [m] is driven at the last speed."""
-    return float(drive["time"][-1] - drive["time"][0] + remaining / drive["vx"][-1])
 
 
 def _identify(cfg: DictConfig, seed: int, folder: Path) -> None:

@@ -82,20 +82,15 @@ def _figure(
 
     `beyond` is text on the use of more friction than planned; "" if there was none.
     """
+    left = f"the car left the road {off_road}"
     if cfg.drive.figure == "fig7":
-        mark = (
-            None
-            if off_road is None
-            else (
-                float(log["time"].iloc[0]) + off_road.time,
-                f"the car left the road {off_road}",
-            )
-        )
+        begun = float(log["time"].iloc[0])
         passing = _passing(cfg, log, driver.plan.line.length)
+        mark = None if off_road is None else (begun + off_road.time, left)
         return fig7(log, obstacle=passing, departure=mark, excess=beyond, note=note)
     length = driver.plan.line.length
     laps = [k * length for k in range(int(log["distance"].max() / length) + 1)]
-    mark = None if off_road is None else (off_road.distance, f"the car left the road {off_road}")
+    mark = None if off_road is None else (off_road.distance, left)
     return fig8(log, laps=laps, departure=mark, note=note)
 
 
