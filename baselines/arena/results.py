@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -224,18 +224,14 @@ def arena_figures(results: ArenaResults) -> dict[str, Figure]:
     problems = len(results.scores)
     difference = critical_difference(len(order), problems)
     figures = {
-        **{
-            f"error_curves{page}": error_curves(
-                runs[runs["problem"].isin(names)], curves[curves["problem"].isin(names)], note=note
-            )
-            for page, names in pages(runs["problem"]).items()
-        },
-        **{
-            f"ert{page}": ert_table(
-                ert[ert["problem"].isin(names)], factor=NEAR_BEST, order=order, note=note
-            )
-            for page, names in pages(ert["problem"]).items()
-        },
+        f"error_curves{page}": error_curves(*_on(names, runs, curves), note=note)
+        for page, names in pages(runs["problem"]).items()
+    }
+    figures |= {
+        f"ert{page}": ert_table(*_on(names, ert), factor=NEAR_BEST, order=order, note=note)
+        for page, names in pages(ert["problem"]).items()
+    }
+    figures |= {
         "ecdf": ecdf_figure(
             ecdf(reached, "evaluations"), ecdf(timed, clock.axis), clock, note=note
         ),
@@ -252,6 +248,11 @@ def arena_figures(results: ArenaResults) -> dict[str, Figure]:
     if results.tested is not None:
         figures["speed_up"] = speed_up_figure(results.speed_ups, method=results.tested, note=note)
     return figures
+
+
+def _on(problems: Sequence[str], *frames: pd.DataFrame) -> list[pd.DataFrame]:
+    """The rows of these problems."""
+    return [frame[frame["problem"].isin(problems)] for frame in frames]
 
 
 def pages(problems: pd.Series) -> dict[str, list[str]]:

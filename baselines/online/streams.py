@@ -173,26 +173,21 @@ def tire_problem(estimate: Array) -> CurveFit:
     """
     low = np.array([3.6, 0.96, 200.0, -0.03, -600.0])
     high = np.array([36.0, 2.4, 8000.0, 0.03, 600.0])
-    space = Space(
-        tuple(
-            Parameter(name, unit, lo, hi)
-            for (name, unit), lo, hi in zip(Pacejka.parameters.items(), low, high, strict=True)
-        )
-    )
     alpha = np.linspace(-0.16, 0.16, 65)
     force = Pacejka().predict(estimate[None], alpha)[0]
     data = Dataset("tire", {"alpha": alpha, "Fy": force}, {"alpha": "rad", "Fy": "N"}, "Fy")
-    return CurveFit(Pacejka(), data, space, sigma=FORCE_NOISE)
+    return CurveFit(Pacejka(), data, space_of(Pacejka.parameters, low, high), sigma=FORCE_NOISE)
+
+
+def space_of(units: Mapping[str, str], low: Array, high: Array) -> Space:
+    """Return the space of parameters with these units by name, and these bounds."""
+    bounds = zip(units.items(), low, high, strict=True)
+    return Space(tuple(Parameter(name, unit, lo, hi) for (name, unit), lo, hi in bounds))
 
 
 def space_about(units: Mapping[str, str], nominal: Array) -> Space:
     """Return the space from 0.2 to 3 times the nominal value of each parameter."""
-    return Space(
-        tuple(
-            Parameter(name, unit, 0.2 * value, 3 * value)
-            for (name, unit), value in zip(units.items(), nominal, strict=True)
-        )
-    )
+    return space_of(units, 0.2 * nominal, 3 * nominal)
 
 
 def corners(rng: np.random.Generator, rows: int) -> Array:

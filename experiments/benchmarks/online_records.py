@@ -82,10 +82,8 @@ class Record:
 
     def delay(self, tolerance: float) -> float:
         """Time after the change from which all estimates stay within a tolerance for 1 s."""
-        close = np.all(np.abs(self.theta / self.truth[-1] - 1) < tolerance, axis=1)
-        runs = np.convolve(close, np.ones(STAYS), "full")[STAYS - 1 :] > STAYS - 0.5
-        later = np.flatnonzero(runs & (self.clock >= self.start - 1e-9))
-        return round(float(self.clock[later[0]] - self.start), DIGITS) if later.size else np.inf
+        off = np.abs(self.theta / self.truth[-1] - 1)
+        return round(self._stays(off < tolerance, self.start), DIGITS)
 
     def alarm_delay(self, detector: str) -> float:
         """Time from the change to the first alarm, infinite if it is missed."""
@@ -100,11 +98,14 @@ class Record:
 
     def recovery(self, tolerance: float) -> float:
         """Time after the end of a fault from which all errors stay within percents for 1 s."""
-        end = self.stream.end or 0.0
-        close = np.all(100 * np.abs(self.theta / self.truth - 1) < tolerance, axis=1)
-        runs = np.convolve(close, np.ones(STAYS), "full")[STAYS - 1 :] > STAYS - 0.5
-        later = np.flatnonzero(runs & (self.clock >= end - 1e-9))
-        return float(self.clock[later[0]] - end) if later.size else np.inf
+        off = 100 * np.abs(self.theta / self.truth - 1)
+        return self._stays(off < tolerance, self.stream.end or 0.0)
+
+    def _stays(self, close: NDArray[np.bool_], since: float) -> float:
+        """Time after `since` from which all columns of `close` (N, W) are true for 1 s."""
+        runs = np.convolve(close.all(axis=1), np.ones(STAYS), "full")[STAYS - 1 :] > STAYS - 0.5
+        later = np.flatnonzero(runs & (self.clock >= since - 1e-9))
+        return float(self.clock[later[0]] - since) if later.size else np.inf
 
 
 def arguments(stream: Stream) -> dict[str, Any]:
