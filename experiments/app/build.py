@@ -113,7 +113,9 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     setting = plain(cfg)
     _known(ProblemConfig, part_of(setting, "problem"), "problem")
     workers, limit = _means(setting)
-    root = _root(setting["root"])
+    check_no_secret(setting["root"], "root")
+    check_root(setting["root"])
+    root = Path(setting["root"])
     if runs_own_code(setting):
         root = root.absolute()  # the user's file may change the working directory later
     optimizer = build_optimizer(setting)
@@ -380,9 +382,3 @@ def _known(kind: type, settings: dict[str, Any], key: str) -> dict[str, Any]:
         if name not in allowed:
             raise ConfigError(unknown_message(f"{key}.{name}", allowed))
     return settings
-
-
-def _root(text: str) -> Path:
-    check_no_secret(text, "root")
-    check_root(text)
-    return Path(text)

@@ -209,17 +209,13 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
         if text.startswith("+experiment="):
             return f"{text}: an experiment is chosen once; write {text[1:]}"
         if text.startswith("space.") and "=[" in text:
-            return f"{text}: is a list; write its ends by name, as in {_ends(text)}"
+            name = text.partition("=")[0].split(".")[1]
+            ends = f"space.{name}.low=0 space.{name}.high=1"
+            return f"{text}: is a list; write its ends by name, as in {ends}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"
     return message
-
-
-def _ends(text: str) -> str:
-    """An example of overrides in place of a list of bounds such as space.a=[0,5]."""
-    name = text.partition("=")[0].split(".")[1]
-    return f"space.{name}.low=0 space.{name}.high=1"
 
 
 def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str:

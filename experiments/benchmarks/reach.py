@@ -49,7 +49,7 @@ from experiments.app.build import (
     recorded_optimum,
 )
 from experiments.app.comparing import chosen_problems
-from experiments.app.compose import composed
+from experiments.app.compose import composed, searching
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.explain import parse_overrides
 from experiments.app.options import CONF
@@ -329,13 +329,10 @@ def main() -> None:
 
     def job() -> int:
         register()
-        folders, search_path = [CONF], []
+        folders, search_path = [CONF], searching(arguments.config_dir)
         if arguments.config_dir is not None:
             check_folder(arguments.config_dir)
             folders.append(arguments.config_dir)
-            search_path.append(
-                f"hydra.searchpath=[{json.dumps(str(arguments.config_dir.resolve()))}]"
-            )
         # Overrides of the method (True) define the variants, the others apply to every problem.
         overrides_of: dict[bool, list[str]] = {True: [], False: []}
         for text, override in zip(

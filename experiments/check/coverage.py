@@ -95,9 +95,13 @@ def synthetic(number: int, correlation: float = 0.0) -> CurveFit:
     else:
         alpha = rng.uniform(-0.3, 0.3, ROWS)
         noise = NOISE * rng.standard_normal(ROWS)
+    return tire_fit(f"synthetic_{number}", alpha, noise)
+
+
+def tire_fit(name: str, alpha: Array, noise: Array) -> CurveFit:
+    """Fit to forces of the tire at slip angles (N,) [rad], with noise (N,) [N]."""
     force = Pacejka().predict(TRUTH[None], alpha)[0] + noise
-    units = {"alpha": "rad", "Fy": "N"}
-    data = Dataset(f"synthetic_{number}", {"alpha": alpha, "Fy": force}, units, "Fy")
+    data = Dataset(name, {"alpha": alpha, "Fy": force}, {"alpha": "rad", "Fy": "N"}, "Fy")
     return CurveFit(Pacejka(), data, SPACE)
 
 

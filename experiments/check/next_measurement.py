@@ -17,13 +17,11 @@ import pandas as pd
 from tqdm import tqdm
 
 from experiments.check import arguments
-from experiments.check.coverage import NOISE, SPACE, TRUTH
-from miho.data import Dataset
+from experiments.check.coverage import NOISE, TRUTH, tire_fit
 from miho.identification import CurveFit, make_report, optimal_design
 from miho.identification.refit import refit
 from miho.optim.seeds import stream
 from miho.quantities import Array
-from miho.vehicle.models import Pacejka
 
 PRESENT = np.linspace(-0.15, 0.15, 100)
 CANDIDATES = np.linspace(-0.3, 0.3, 601)
@@ -35,9 +33,7 @@ GOALS = (ALL, "B", "C", "D", STIFFNESS)
 
 def synthetic(alpha: Array, rng: np.random.Generator) -> CurveFit:
     """Fit to the tire at these slip angles [rad], with noise."""
-    force = Pacejka().predict(TRUTH[None], alpha)[0] + NOISE * rng.standard_normal(alpha.size)
-    data = Dataset("tire", {"alpha": alpha, "Fy": force}, {"alpha": "rad", "Fy": "N"}, "Fy")
-    return CurveFit(Pacejka(), data, SPACE)
+    return tire_fit("tire", alpha, NOISE * rng.standard_normal(alpha.size))
 
 
 def advised() -> Mapping[str, Array]:

@@ -168,6 +168,11 @@ class Layout:
         return [header.strip() for header in self.headers]  # as in the header line
 
     @property
+    def _header(self) -> dict[str, str]:
+        """Names of the columns in the file, by their names in the dataset."""
+        return dict(zip(self.columns, self.names, strict=True))
+
+    @property
     def all_names(self) -> list[str]:
         """Names of all columns to read, including the columns of `where`."""
         return list(dict.fromkeys([*self.names, *(self.where or {})]))
@@ -189,13 +194,12 @@ class Layout:
 
         columns, units = self.si_columns(numbers, fault, all_numbers)
         # The output and at least one other column must vary.
-        header = dict(zip(self.columns, self.names, strict=True))
         constant = [key for key, column in columns.items() if np.ptp(column) == 0]
         if self.output in constant or len(constant) >= max(1, len(columns) - 1):
             key = self.output if self.output in constant else constant[0]
-            problem = f"column {header[key]!r} has the same value in every row"
+            problem = f"column {self._header[key]!r} has the same value in every row"
             remedy = "choose one that varies: nothing can be identified from this one"
-            raise fault(header[key], None, f"{problem}; {remedy}")
+            raise fault(self._header[key], None, f"{problem}; {remedy}")
         file_columns = {key: all_numbers[key] for key in self.names}
         where = (self.where or {}).items()
         chosen = [f"{key} from {low:g} to {high:g}" for key, (low, high) in where]
@@ -219,12 +223,13 @@ class Layout:
         columns, units = self.sized_columns(numbers, fault, all_numbers)
         wrong = sign_problem(columns, units)
         if wrong is not None:
-            header = dict(zip(self.columns, self.names, strict=True))
             remedies = [f"convention={name}" for name in
                         conventions_of(columns, units, self.convention)]  # fmt: skip
             flips = (sorted({*self.flip} ^ {name}) for name in wrong.negated)
             remedies += [f"flip=[{', '.join(names)}]" for names in flips]
-            raise fault(header[wrong.column], None, f"{wrong.problem}; set {' or '.join(remedies)}")
+            raise fault(
+                self._header[wrong.column], None, f"{wrong.problem}; set {' or '.join(remedies)}"
+            )
         return columns, units
 
     def sized_columns(
@@ -235,12 +240,11 @@ class Layout:
     ) -> tuple[dict[str, Array], dict[str, str]]:
         """The columns and their units as by `si_columns`, whatever their signs are."""
         columns, units = {}, {}
-        header = dict(zip(self.columns, self.names, strict=True))
         for key, spelling in zip(self.columns, self.units, strict=True):
-            unit, raw = si(spelling), numbers[header[key]]
+            unit, raw = si(spelling), numbers[self._header[key]]
             with np.errstate(over="ignore"):
                 columns[key], units[key] = raw * unit.factor, unit.name
-            self._check_size(key, unit, raw, (all_numbers or numbers)[header[key]], fault)
+            self._check_size(key, unit, raw, (all_numbers or numbers)[self._header[key]], fault)
         self._check_friction(columns, units, fault)
         return to_iso_w(columns, self.convention, self.flip), units
 
@@ -267,7 +271,7 @@ class Layout:
         A single cell may be too large. The unit is judged by all rows of the file (N,): the largest
         must not be too small, and most must not be too large.
         """
-        header = dict(zip(self.columns, self.names, strict=True))[key]
+        header = self._header[key]
         low, high = self._plausible(key, unit)
         sizes, row = np.abs(all_raw), int(np.argmax(np.abs(raw)))
         with np.errstate(over="ignore"):
@@ -306,7 +310,6 @@ class Layout:
         self, columns: Mapping[str, Array], units: Mapping[str, str], fault: Fault
     ) -> None:
         """Refuse forces that no load can cause: one of the two columns has another unit."""
-        header = dict(zip(self.columns, self.names, strict=True))
         for key in ("Fx", "Fy"):
             stated = {key, "Fz"} & (self.ranges or {}).keys()
             if stated or not units.get(key) == units.get("Fz") == "N":
@@ -314,7 +317,7 @@ class Layout:
             force, load = (float(np.abs(columns[name]).max()) for name in (key, "Fz"))
             if force > FRICTION * load > 0:
                 raise fault(
-                    header[key], None,
+                    self._header[key], None,
                     f"largest |{key}| is {force / load:.3g} times the largest |Fz|, expected at "
                     f"most {FRICTION:g} times; correct the unit of one of them, or set "
                     f"ranges={{{key}: [from, to]}}",

@@ -76,25 +76,25 @@ class Equations:
 
     def rates(self, t: float, u: Array, x: Array, p: Array) -> Array:
         """The derivatives of the states, (S,) or (S, n)."""
-        if self._formulas is None:
+        if not self._formulas:
             return self._called(self.rates_of, t, u, x, p)
         return _stacked(self._formulas["rates"]((t, *u, *x, *p)), x.shape[1:])
 
     def observed(self, t: float, u: Array, x: Array, p: Array) -> Array:
         """The outputs, (K,) or (K, n)."""
-        if self._formulas is None:
+        if not self._formulas:
             return self._called(self._observed, t, u, x, p)
         return _stacked(self._formulas["outputs"]((t, *u, *x, *p)), x.shape[1:])
 
     def rate_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
         """Return derivatives of the rates (S,) by states (S, S) and by parameters (S, d)."""
-        if self._formulas is None:
+        if not self._formulas:
             return self._differences(self.rates_of, t, u, x, p)
         return self._split(self._formulas["rate_slopes"]((t, *u, *x, *p)))
 
     def output_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
         """Return derivatives of the outputs by states (K, S) and by parameters (K, d)."""
-        if self._formulas is None:
+        if not self._formulas:
             return self._differences(self._observed, t, u, x, p)
         return self._split(self._formulas["output_slopes"]((t, *u, *x, *p)))
 
@@ -206,10 +206,10 @@ class Equations:
         return rates, outputs
 
     @cached_property
-    def _formulas(self) -> dict[str, Callable[..., Any]] | None:
-        """Traced equations as plain functions of the tuple (t, *u, *x, *p), by name."""
+    def _formulas(self) -> dict[str, Callable[..., Any]]:
+        """Traced equations as plain functions of the tuple (t, *u, *x, *p), by name; or {}."""
         if self._graphs is None:
-            return None
+            return {}
         (rates, outputs), (u, x, p) = self._graphs, self._symbols
         arguments = {"values": ["t", *(s.arguments[0] for s in (*u, *x, *p))]}
 

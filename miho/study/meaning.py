@@ -24,21 +24,13 @@ def meaning_of(node: Any) -> str:
         if isinstance(fields.get("body"), list):
             fields["body"] = [line for line in fields["body"] if not _is_text(line)]
         if isinstance(node, ast.JoinedStr):  # 3.12 has empty texts between its parts
-            fields["values"] = [part for part in node.values if not _is_empty_text(part)]
-        values = {name: value for name, value in fields.items() if not _empty(value)}
+            fields["values"] = [part for part in node.values if getattr(part, "value", None) != ""]
+        values = {name: value for name, value in fields.items() if value not in (None, [])}
         texts = (f"{name}={meaning_of(value)}" for name, value in values.items())
         return f"{type(node).__name__}({','.join(texts)})"
     if isinstance(node, list):
         return f"[{','.join(map(meaning_of, node))}]"
     return ascii(node)
-
-
-def _is_empty_text(part: ast.expr) -> bool:
-    return isinstance(part, ast.Constant) and part.value == ""
-
-
-def _empty(value: Any) -> bool:
-    return value is None or value == []
 
 
 def _is_text(line: ast.AST) -> bool:

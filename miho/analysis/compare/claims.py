@@ -168,9 +168,9 @@ class _Study:
 
     def seeds(self, methods: Sequence[str]) -> list[int]:
         """The seeds that all of the methods have."""
-        of = self.runs.groupby("optimizer")["seed"]
-        common = set.intersection(*(set(of.get_group(method)) for method in methods))
-        return sorted(int(seed) for seed in common)
+        runs = self.runs
+        common = (set(runs["seed"][runs["optimizer"] == method]) for method in methods)
+        return sorted(int(seed) for seed in set.intersection(*common))
 
     def curve(self, method: str, axis: Axis, seeds: Sequence[int]) -> MeanCurve:
         key = method, axis, tuple(seeds)
@@ -235,7 +235,7 @@ class _Study:
         first, second = verdicts
         verdicts = list(verdict.of_both_axes(first, second, self.clock.unit))
         return [
-            _speed_row(claim, printed, speed, result)
+            self.speed_row(claim, printed, speed, result)
             for claim, speed, result in zip(claims, measured, verdicts, strict=True)
         ]
 
@@ -250,14 +250,14 @@ class _Study:
             falling=self.falling(MIHO, seeds),
             at_floor=self.at_floor(float(final.mean())),
         )
-        result = verdict.at_this_size(result, mismatch(self.settings, MIHO))
-        return _row("terminal error of MIHO", "0.39 kN", (interval, len(seeds)), " kN", result)
+        measured = interval, len(seeds)
+        return self.row("terminal error of MIHO", "0.39 kN", measured, " kN", result, MIHO)
 
     def gain_claim(self, rival: str, paper: Printed) -> Row:
         claim, printed = f"MIHO ends below {rival} by", f"{paper.value:g} %"
-        seeds = self.seeds([MIHO, rival]) if rival in self.methods else []
+        seeds = self.seeds([MIHO, rival])
         if not seeds:
-            return _row(claim, printed, None, " %", verdict.without_runs([rival]))
+            return self.row(claim, printed, None, " %", verdict.without_runs([rival]))
         miho_errors, rival_errors = self.final(MIHO, seeds), self.final(rival, seeds)
         interval = improvement(miho_errors, rival_errors, self.rng, self.resamples).scaled(100)
         result = verdict.of_advantage(
@@ -268,13 +268,12 @@ class _Study:
             miho_falling=self.falling(MIHO, seeds),
             rival_falling=self.falling(rival, seeds),
         )
-        result = verdict.at_this_size(result, mismatch(self.settings, MIHO, rival))
-        return _row(claim, printed, (interval, len(seeds)), " %", result)
+        return self.row(claim, printed, (interval, len(seeds)), " %", result, MIHO, rival)
 
     def stuck_claim(self, method: str, paper: Printed) -> Row:
         claim, printed = f"{method} stops at", f"{paper.value:g} kN"
         if method not in self.methods:
-            return _row(claim, printed, None, " kN", verdict.without_runs([method]))
+            return self.row(claim, printed, None, " kN", verdict.without_runs([method]))
         seeds = self.seeds([method])
         final = self.final(method, seeds)
         interval = mean_error(final, self.rng, self.resamples).scaled(1e-3)
@@ -286,80 +285,75 @@ class _Study:
             result = Verdict(
                 verdict.ON_REPETITIONS, f"{escaped} of {len(seeds)} came within 1 % of the best"
             )
-        result = verdict.at_this_size(result, mismatch(self.settings, method))
-        return _row(claim, printed, (interval, len(seeds)), " kN", result)
+        return self.row(claim, printed, (interval, len(seeds)), " kN", result, method)
 
     def cost_claim(self, method: str, cheaper: str, target: float) -> Row:
         claim = f"{method} needs more evaluations than {cheaper} to {target / 1e3:.1f} kN"
-        present = {method, cheaper} <= set(self.methods)
-        cost = self.speed_of(cheaper, [method], target, "evaluations") if present else None
+        cost = self.speed_of(cheaper, [method], target, "evaluations")
         if cost is None:
-            return _row(claim, "more", None, "×", verdict.without_runs([method]))
+            return self.row(claim, "more", None, "×", verdict.without_runs([method]))
         result = verdict.of_advantage(cost[0], MORE, cost[1], no_advantage=1)
-        size = mismatch(self.settings, method, cheaper)
-        return _row(claim, "more", cost, "×", verdict.at_this_size(result, size))
+        return self.row(claim, "more", cost, "×", result, method, cheaper)
 
     def flat_claim(self, method: str, limit: float) -> Row:
         claim, printed = f"{method} hardly moves: its error falls by", f"< {limit * 100:g} %"
         first = self.curves[self.curves["optimizer"] == method].groupby("seed")["error"].first()
         seeds = [int(seed) for seed in first.dropna().index]
         if not seeds:
-            return _row(claim, printed, None, " %", verdict.without_runs([method]))
+            return self.row(claim, printed, None, " %", verdict.without_runs([method]))
         start = first.loc[seeds].to_numpy(dtype=float)
         fall = improvement(self.final(method, seeds), start, self.rng, self.resamples)
         falling = self.falling(method, seeds)
         result = verdict.of_share(fall, limit, len(seeds), below=True, falling=falling)
-        result = verdict.at_this_size(result, mismatch(self.settings, method))
-        return _row(claim, printed, (fall.scaled(100), len(seeds)), " %", result)
+        return self.row(claim, printed, (fall.scaled(100), len(seeds)), " %", result, method)
 
     def stable_claim(self, method: str, *, stable: bool) -> Row:
         word, sign = ("stable", "<") if stable else ("unstable", "≥")
         claim = f"{method} is {word}: evaluations without improvement"
         printed = f"{sign} {IDLE * 100:g} %"
         if method not in self.methods:
-            return _row(claim, printed, None, " %", verdict.without_runs([method]))
+            return self.row(claim, printed, None, " %", verdict.without_runs([method]))
         seeds = self.seeds([method])
         idle = self.curve(method, "evaluations", seeds).idle()
         share = mean_error(idle, self.rng, self.resamples)
         result = verdict.of_share(share, IDLE, len(seeds), below=stable)
-        result = verdict.at_this_size(result, mismatch(self.settings, method))
-        return _row(claim, printed, (share.scaled(100), len(seeds)), " %", result)
+        return self.row(claim, printed, (share.scaled(100), len(seeds)), " %", result, method)
 
     def minimum_claim(self, method: str) -> Row:
         claim, printed = f"{method} ends in a local minimum: its error over the best", "> 1.01×"
         if method not in self.methods:
-            return _row(claim, printed, None, "×", verdict.without_runs([method]))
+            return self.row(claim, printed, None, "×", verdict.without_runs([method]))
         seeds, best = self.seeds([method]), float(self.runs["error"].min())
         excess = mean_error(self.final(method, seeds) / best, self.rng, self.resamples)
         falling = self.falling(method, seeds)
         result = verdict.of_local_minimum(excess, NEAR_BEST, len(seeds), falling=falling)
-        result = verdict.at_this_size(result, mismatch(self.settings, method))
-        return _row(claim, printed, (excess, len(seeds)), "×", result)
+        return self.row(claim, printed, (excess, len(seeds)), "×", result, method)
 
     def extra(self, other: str, axis: Axis) -> Row:
         claim = f"MIHO is faster than {other} to 0.5 kN, in {UNITS[axis]}"
         speed = self.speed([other], 500.0, axis)
         result = verdict.without_claim(*speed) if speed else verdict.without_runs([other])
-        return _speed_row(claim, "-", speed, result)
+        return self.speed_row(claim, "-", speed, result)
 
+    def row(
+        self, claim: str, paper: str, measured: tuple[Interval, int] | None, unit: str,
+        result: Verdict, *methods: str,
+    ) -> Row:  # fmt: skip
+        """The row of a claim about these methods, which is not judged for runs of another size."""
+        result = verdict.at_this_size(result, mismatch(self.settings, *methods))
+        return {
+            "claim": claim,
+            "paper": paper,
+            "ours": with_interval(measured[0], unit) if measured else "-",
+            "repetitions": measured[1] if measured else 0,
+            "verdict": result.word,
+            "reason": result.reason,
+        }
 
-def _row(
-    claim: str, paper: str, measured: tuple[Interval, int] | None, unit: str, result: Verdict
-) -> Row:
-    return {
-        "claim": claim,
-        "paper": paper,
-        "ours": with_interval(measured[0], unit) if measured else "-",
-        "repetitions": measured[1] if measured else 0,
-        "verdict": result.word,
-        "reason": result.reason,
-    }
-
-
-def _speed_row(
-    claim: str, paper: str, measured: tuple[Interval, int] | None, result: Verdict
-) -> Row:
-    row = _row(claim, paper, measured, "×", result)
-    if measured and measured[0].estimate == 0:
-        row["ours"] = f"0×, MIHO did not reach it; {row['ours']}"
-    return row
+    def speed_row(
+        self, claim: str, paper: str, measured: tuple[Interval, int] | None, result: Verdict
+    ) -> Row:
+        row = self.row(claim, paper, measured, "×", result)
+        if measured and measured[0].estimate == 0:
+            row["ours"] = f"0×, MIHO did not reach it; {row['ours']}"
+        return row

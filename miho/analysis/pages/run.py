@@ -251,8 +251,9 @@ def _all_intervals(report: Report, kinds: list[str]) -> pd.DataFrame:
 
 def _explained(report: Report) -> str:
     least = "" if report.at.dependence is None else "at least "
+    doubt = " of this local optimum, which is in doubt" * bool(report.conclusion.doubt)
     return (
-        f"{100 * report.level:g} % intervals{_local_optimum(report)}: linearised (Student's t with "
+        f"{100 * report.level:g} % intervals{doubt}: linearised (Student's t with "
         f"{least}{report.at.freedom} degrees of freedom), by profile likelihood"
         + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
            else ".")
@@ -275,10 +276,6 @@ def _searched(report: Report) -> str:
             "than a known optimum; their errors on all rows are unknown."
         )
     return caption
-
-
-def _local_optimum(report: Report) -> str:
-    return " of this local optimum, which is in doubt" * bool(report.conclusion.doubt)
 
 
 def _rounded(frame: pd.DataFrame) -> pd.DataFrame:

@@ -113,13 +113,14 @@ def seeds_text(seeds: pd.Series) -> str:
 def warnings(sweep: Sweep) -> list[str]:
     """Warnings that a reader should know first, one sentence each."""
     runs = sweep.runs
-    return [
-        *_gaps(runs),
-        *_ends(runs),
-        *_mixtures(list(sweep.origins.values())),
-        *_seconds(clock_of(runs).note),
-        *_damaged(len(sweep.damaged)),
-    ]
+    note, count = clock_of(runs).note, len(sweep.damaged)
+    sentences = [*_gaps(runs), *_ends(runs), *_mixtures(list(sweep.origins.values()))]
+    if note:
+        sentences.append(f"{note[0].upper()}{note[1:]}.")
+    if count:
+        are = "run folders are damaged and are" if count > 1 else "run folder is damaged and is"
+        sentences.append(f"{count} {are} omitted; see the list at the end.")
+    return sentences
 
 
 def _gaps(runs: pd.DataFrame) -> list[str]:
@@ -186,17 +187,6 @@ def _busy(environment: Mapping[str, str]) -> bool:
     load, cores = (json.loads(environment.get(key, "null")) for key in ("load", "cores"))
     first = load[0] if isinstance(load, list) and load else None
     return isinstance(first, Real) and isinstance(cores, Real) and float(first) > float(cores)
-
-
-def _seconds(note: str) -> list[str]:
-    return [f"{note[0].upper()}{note[1:]}."] if note else []
-
-
-def _damaged(count: int) -> list[str]:
-    if not count:
-        return []
-    are = "run folders are damaged and are" if count > 1 else "run folder is damaged and is"
-    return [f"{count} {are} omitted; see the list at the end."]
 
 
 def _target(origin: Origin, group: str) -> str:

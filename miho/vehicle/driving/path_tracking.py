@@ -198,11 +198,6 @@ class GainSchedule:
         """Return K (5 + d,) at a speed [m/s]."""
         return between(self.speeds, self.K, vx)
 
-    def radius(self, vx: float) -> float:
-        """Return the spectral radius of the closed loop at a speed [m/s]; below 1 it is stable."""
-        F, G = self.sampled.matrices(vx)
-        return float(np.abs(np.linalg.eigvals(F - np.outer(G, self.at(vx)))).max())
-
 
 def between(speeds: Array, values: Array, vx: float) -> Array:
     """Interpolate values (k, ...) at rising speeds (k,) [m/s]; constant beyond the ends."""

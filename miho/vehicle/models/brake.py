@@ -1,4 +1,4 @@
-"""Brake of a car: force at the ground for a command, the inverse, and the response over time."""
+"""Brake of a car: force at the ground for a command, and the inverse."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from miho.quantities import Array
-from miho.validate import positive, positive_settings, settings_at_least
-from miho.vehicle.models.brake_dynamics import BrakeResponse
-from miho.vehicle.models.brake_play import play
+from miho.validate import positive_settings, settings_at_least
 from miho.vehicle.models.brake_statics import BrakePressure
 
 
@@ -53,9 +51,6 @@ class Brake:
         Radii of the wheels [m].
     delay, tau_rise, tau_fall : float
         Parameters of `BrakeResponse` [s].
-    hysteresis : float, optional
-        Width of the play in the command [-]. It acts in `respond`; `force` and `command` use the
-        middle of the loop.
 
     Raises
     ------
@@ -77,10 +72,9 @@ class Brake:
     delay: float = 0.0
     tau_rise: float
     tau_fall: float
-    hysteresis: float = 0.0
 
     def __post_init__(self) -> None:
-        zero_allowed = ("u0", "P0_front", "P0_rear", "delay", "hysteresis")
+        zero_allowed = ("u0", "P0_front", "P0_rear", "delay")
         settings_at_least(self, zero_allowed, 0)
         positive_settings(self, [f.name for f in fields(self) if f.name not in zero_allowed])
         if self.u1 <= self.u0:
@@ -97,11 +91,6 @@ class Brake:
     def largest_force(self) -> float:
         """Force at and above u1 [N]."""
         return float(self.force(self.u1))
-
-    @property
-    def onset(self) -> float:
-        """Command at which the force begins [-], the end of the dead band."""
-        return float(self._command_of(np.asarray(min(self._contact))))
 
     def pressure(self, u: ArrayLike) -> tuple[Array, Array]:
         """Return the steady pressures of the front and rear circuit [Pa] at commands u [-]."""
@@ -136,21 +125,6 @@ class Brake:
         u = self._command_of(np.where(alone <= second, alone, both))
         u = np.where(F > 0, u, 0.0)
         return BrakeCommand(u, F - self.force(u))
-
-    def respond(self, u: ArrayLike, dt: float) -> Array:
-        """Return the pressure of the front circuit [Pa] for commands u (N,), each held for dt [s].
-
-        Row i is the pressure at time i dt. Before the record, the brake is at rest at the first
-        command.
-        """
-        u = np.asarray(u, dtype=float)
-        if u.ndim != 1 or not u.size or not np.isfinite(u).all():
-            raise ValueError(f"u has shape {u.shape}; expected (N,), of finite numbers")
-        positive("dt", dt, "of seconds")
-        target = self.pressure(play(u, self.hysteresis))[0]
-        t = np.linspace(0.0, (u.size - 1) * dt, u.size)
-        theta = np.array([[self.delay, self.tau_rise, self.tau_fall]])
-        return np.asarray(BrakeResponse().predict(theta, t, target)[0])
 
     @property
     def _rear(self) -> float:

@@ -229,16 +229,6 @@ class EngineMap:
         """Return the torques [Nm] at closed and full throttle, at engine speeds [rad/s]."""
         return self.torque(omega, 0.0), self.torque(omega, 1.0)
 
-    def invertible(self, omega: ArrayLike, torque: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether an opening gives a torque [Nm] at a speed [rad/s]; arguments broadcast.
-
-        This is the range from engine braking to full throttle, outside of which `throttle`
-        saturates.
-        """
-        low, high = self.limits(omega)
-        torque = np.asarray(torque, dtype=float)
-        return np.asarray((low <= torque) & (torque <= high))
-
     def throttle(self, omega: ArrayLike, torque: ArrayLike) -> Throttle:
         """Return the smallest opening that gives a torque; arguments broadcast.
 

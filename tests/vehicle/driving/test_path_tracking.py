@@ -80,7 +80,9 @@ def test_the_loop_is_stable_on_the_interpolants(steering: float) -> None:
     for model in (MODEL, car().steering_controller(Weights()).schedule.sampled.model):
         sampled = SampledModel(model=model, steering=STEERING, period=0.01)
         schedule = GainSchedule.of(sampled, Weights(steering=steering))
-        assert max(schedule.radius(v) for v in np.arange(3.0, 80.01, 0.25)) < 0.999
+        for vx in np.arange(3.0, 80.01, 0.25):
+            F, G = sampled.matrices(vx)
+            assert np.abs(np.linalg.eigvals(F - np.outer(G, schedule.at(vx)))).max() < 0.999
 
 
 def test_without_delay_and_lag_both_regulators_agree() -> None:
