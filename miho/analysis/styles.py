@@ -8,7 +8,7 @@ black and white.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -147,24 +147,13 @@ MAIN = ("miho_gn", "miho_qn", "miho", "cma_es", "differential_evolution", "optun
 """Methods in the foreground of a crowded figure: the paper's and one of each family."""
 
 
-def with_emphasis(
-    methods: Iterable[str], highlight: Collection[str] | None = None
-) -> dict[str, MethodStyle]:
-    """`styles_of` with all methods outside of `highlight` muted and placed first.
+def with_emphasis(methods: Iterable[str]) -> dict[str, MethodStyle]:
+    """`styles_of` with all methods in the background muted and placed first.
 
-    Drawn in this order, the foreground is on top. By default the methods of MAIN and methods
-    without a fixed style, such as the user's, are highlighted. Raises ValueError for a method in
-    `highlight` that is not among `methods`.
+    Drawn in this order, the foreground is on top: the methods of MAIN and methods without a fixed
+    style, such as the user's.
     """
     styles = styles_of(methods)
-    unknown = sorted(set(highlight or ()) - set(styles))
-    if unknown:
-        raise ValueError(
-            f"highlight names {', '.join(unknown)}, but there are no such runs; "
-            f"expected some of {', '.join(styles)}"
-        )
-    if highlight is None:
-        secondary = set(STYLES) - set(MAIN)
-        highlight = {method for method in styles if method.partition(" ")[0] not in secondary}
-    back = {method: style.muted for method, style in styles.items() if method not in highlight}
-    return back | {method: style for method, style in styles.items() if method in highlight}
+    secondary = set(STYLES) - set(MAIN)
+    back = {name: s.muted for name, s in styles.items() if name.partition(" ")[0] in secondary}
+    return back | {name: style for name, style in styles.items() if name not in back}

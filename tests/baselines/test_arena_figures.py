@@ -18,7 +18,7 @@ from baselines.arena.figures import (
 )  # fmt: skip
 from miho.analysis.compare.profiles import data_profile, ecdf, performance_profile
 from miho.analysis.compare.running_time import hits, running_times
-from miho.analysis.styles import STYLES, with_emphasis
+from miho.analysis.styles import STYLES
 from miho.analysis.timing import Clock, clock_of
 from tests.analysis.arena_synthetic import arena, methods
 from tests.analysis.synthetic import Steps, frames
@@ -36,8 +36,8 @@ def gap_panel(steps: list[Steps], ends: float = 1000.0, highlight: bool = True) 
     """MIHO's runs against a best known error of 100 N."""
     runs, curves = frames({"miho": steps}, ends={"miho": ends})
     ax = Figure().subplots()
-    styles = with_emphasis(["miho"], ["miho"] if highlight else [])
-    return plot_gap(runs, curves, ax, 100.0, GRID, styles)
+    style = STYLES["miho"] if highlight else STYLES["miho"].muted
+    return plot_gap(runs, curves, ax, 100.0, GRID, {"miho": style})
 
 
 def test_the_line_is_the_median_of_the_relative_gap() -> None:

@@ -17,15 +17,7 @@ from miho.analysis.timing import UNITS, clock_of, undisturbed
 STRICT = 1.001
 
 
-def leaderboard(
-    runs: pd.DataFrame,
-    curves: pd.DataFrame,
-    *,
-    factor: float = NEAR_BEST,
-    strict: float = STRICT,
-    axis: Axis = "evaluations",
-    budget: float | Mapping[str, float] | None = None,
-) -> pd.DataFrame:
+def leaderboard(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
     """Table with a row per method, best mean rank first.
 
     A method that was not run on a problem has not solved it. Success is the share of the existing
@@ -35,36 +27,30 @@ def leaderboard(
     ----------
     runs, curves : DataFrame
         As in `miho.load_runs`, of several problems.
-    factor, strict : float
-        Targets, as multiples of the best known error.
-    axis : {'evaluations', 'seconds', 'cpu_seconds'}
-        Axis of expected running times and areas.
-    budget : float or mapping, optional
-        See `area_over_curve`.
 
     Returns
     -------
     DataFrame
         The columns are
 
-        - mean rank: over problems, from `problem_scores` at `factor`
+        - mean rank: over problems, from `problem_scores` at `NEAR_BEST`
         - by families: the same over families of problems, from `family_scores`, if the runs have
           the column `family`
-        - solved: number of problems on which any run reached the factor
-        - success: share of runs that reached the factor, and the strict one
+        - solved: number of problems on which any run reached `NEAR_BEST` times the best error
+        - success: share of runs that reached it, and the share that reached `STRICT` times it
         - times the best: expected running time relative to the best method, geometric mean over the
           problems that the method solves; compare it together with solved
-        - AOCC: `area_over_curve` up to `budget`, mean over problems
+        - AOCC: `area_over_curve`, mean over problems
         - cut by seconds: share of runs that the time limit ended before they converged or used
           their evaluations, if the runs have the column `cut`
         - µs per evaluation: seconds divided by evaluations of whole runs, including the loss,
           median over undisturbed runs; NaN if there are none
     """
-    reached = hits(runs, curves, (factor, strict))
-    areas = area_over_curve(runs, curves, budget, axis)
-    ert = running_times(reached, axis)
-    scores = problem_scores(ert, areas, factor)
-    solved = at_factor(ert, factor)
+    reached = hits(runs, curves, (NEAR_BEST, STRICT))
+    areas = area_over_curve(runs, curves)
+    ert = running_times(reached, "evaluations")
+    scores = problem_scores(ert, areas, NEAR_BEST)
+    solved = at_factor(ert, NEAR_BEST)
     ratios = np.log(solved["ert"] / solved.groupby("problem")["ert"].transform("min"))
     ratios = ratios[np.isfinite(solved["ert"])].groupby(solved["optimizer"]).mean()
     per_problem = areas.groupby(["problem", "optimizer"])["aocc"].mean()
@@ -79,7 +65,7 @@ def leaderboard(
         solved=np.isfinite(solved["ert"]).groupby(solved["optimizer"]).sum().astype(int),
         **{
             f"success at {f:g}": at_factor(reached, f).groupby("optimizer")["reached"].mean()
-            for f in (factor, strict)
+            for f in (NEAR_BEST, STRICT)
         },
         **{"times the best": np.exp(ratios)},
         AOCC=per_problem.unstack().reindex(scores.index).fillna(0.0).mean(),
@@ -171,7 +157,6 @@ def results_table(
     curves: pd.DataFrame,
     *,
     targets: Sequence[float] | None = None,
-    near_best: float = 0.01,
 ) -> pd.DataFrame:
     """Table with a row per method, best mean first: final errors and median costs of targets.
 
@@ -185,9 +170,8 @@ def results_table(
         As in `miho.load_runs`, of one problem.
     targets : sequence of float, optional
         Errors in the unit of the runs; by default the paper's 1 and 0.5 kN for forces, else none.
-    near_best : float
-        The last target is the best error of any method times 1 + `near_best`. Success is the share
-        of runs that reach it.
+        The last target is always `NEAR_BEST` times the best error of any method. Success is the
+        share of runs that reach it.
 
     Returns
     -------
@@ -215,9 +199,8 @@ def results_table(
     table[f"gap to {'optimum' if recorded else 'best of all runs'} [%]"] = np.round(gap, 6) + 0.0
     if targets is None:
         targets = PAPER_TARGETS if runs["unit"].iloc[0] == "N" else ()
-    nearly = float(runs["error"].min() * (1 + near_best))
-    labels = [f"{target * factor:g} {unit}" for target in targets]
-    labels.append(f"best + {near_best * 100:g} %")
+    nearly = float(runs["error"].min() * NEAR_BEST)
+    labels = [*(f"{target * factor:g} {unit}" for target in targets), "best + 1 %"]
     clock = clock_of(runs)
     timed = curves[curves["id"].isin(clock.runs["id"])]
     on_axes: dict[Axis, pd.DataFrame] = {"evaluations": curves, clock.axis: timed}

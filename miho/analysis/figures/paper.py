@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from miho.analysis.compare.size import Methods, chosen
 from miho.analysis.curves import Axis, log_grid, on_grid, summary, until
 from miho.analysis.figures.house import (
     AXIS_LABELS,
@@ -134,13 +133,7 @@ def plot_tires(
     return ax
 
 
-def fig6(
-    runs: pd.DataFrame,
-    curves: pd.DataFrame,
-    *,
-    methods: Methods | None = None,
-    note: str = "",
-) -> Figure:
+def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     """Fig. 6: mean error over time, and below it over evaluations, which no machine changes.
 
     Time is wall time, or CPU time if other work disturbed the runs, as `timing.clock_of` decides
@@ -154,8 +147,6 @@ def fig6(
     runs, curves : DataFrame
         As in `miho.load_runs`, of one problem. Runs of one method with different settings are drawn
         as different methods, for example `MIHO R=300`.
-    methods : "paper" or collection of str, optional
-        The paper's five methods and Optuna's Hyperband, or some by name; by default all.
     note : str
         Small text below: sizes, repetitions, budget; by default empty.
 
@@ -167,12 +158,9 @@ def fig6(
     Raises
     ------
     ValueError
-        If there are several problems or units, or a method has no runs.
+        If there are several problems or units.
     """
     runs, curves = one_problem(runs, curves)
-    if methods is not None:
-        runs = runs[runs["optimizer"].isin(chosen(list(runs["optimizer"].unique()), methods))]
-        curves = curves[curves["id"].isin(runs["id"])]
     unit = str(runs["unit"].iloc[0])
     shown_in, factor = shown_unit(unit)
     # The irreducible error, the common clock, and a hue for each method.

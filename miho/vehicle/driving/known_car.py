@@ -108,13 +108,8 @@ class KnownCar:
         settings = SpeedSettings() if settings is None else settings
         return SpeedController(self.vehicle, self.engine, self.brake, settings)
 
-    def steering_controller(
-        self, weights: Weights, period: float = 0.01, noise: Sensors | None = None
-    ) -> SteeringController:
-        """Return the path tracker, with a command every `period` [s].
-
-        noise is the assumed noise of the sensors, by default `Sensors()`.
-        """
+    def steering_controller(self, weights: Weights, period: float = 0.01) -> SteeringController:
+        """Return the path tracker for the noise of `Sensors`, with a command every `period` [s]."""
         car = self.vehicle
         axles = [self.axles(float(vx)) for vx in SPEEDS]
         lateral = LateralModel(
@@ -128,9 +123,8 @@ class KnownCar:
         front, rear = self.loaded_axles
         loads = static_loads(car)
         schedule = GainSchedule.of(sampled, weights)
-        noise = Sensors() if noise is None else noise
         front_slip, rear_slip = _axle_slip(front, loads[:2]), _axle_slip(rear, loads[2:])
-        estimator = ErrorEstimator.of(sampled, noise, schedule.speeds)
+        estimator = ErrorEstimator.of(sampled, Sensors(), schedule.speeds)
         return SteeringController(car, schedule, front_slip, rear_slip, estimator)
 
 
