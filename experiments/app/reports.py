@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
+import tempfile
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,9 +16,9 @@ from experiments.app.build import ConfigError, rebuild
 from experiments.app.configured import as_configured
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import one_line
+from experiments.app.instantiation import MissingLibraryError
 from experiments.app.next_measurement import advise
 from experiments.app.optimum import check_optimum, report_of, save_run
-from experiments.app.posterior import save_posterior
 from experiments.app.progress import at_work
 from miho.analysis.pages.html import PAGE
 from miho.analysis.pages.run import report_folder
@@ -29,16 +31,18 @@ from miho.analysis.pages.run_tables import (
 from miho.analysis.pages.sweep import Best, save_sweep_page
 from miho.analysis.pages.sweep_contents import best_runs
 from miho.analysis.pages.sweep_runs import Sweep
-from miho.identification import Report
+from miho.identification import Report, sample_posterior
 from miho.identification.line_wrapping import for_terminal
 from miho.identification.stated import marked
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of
-from miho.study import StoredRun, load_runs, read_run
+from miho.study import StoredRun, load_runs, read_run, write_bytes
 from miho.study.identity import inside
 from miho.study.index import without_runs
 from miho.study.manifest import missing_runs
+from miho.study.provenance import provenance
 
+POSTERIOR = "posterior.nc"
 NO_INTERVALS = "Intervals were not computed; without --quick, they are on a separate page."
 
 
@@ -156,3 +160,17 @@ def _report(stored: StoredRun, options: Namespace) -> Report:
         workers=options.workers,
         **settings,
     )
+
+
+def save_posterior(report: Report, stored: StoredRun, folder: Path) -> str:
+    """Sample and write the posterior next to the report; return its path and its limitations."""
+    seed = int(stored.result["seed"])
+    try:
+        posterior = sample_posterior(report.problem, report.at.theta, seed=seed)
+    except ImportError as error:
+        raise MissingLibraryError(f"--posterior: {error}") from None
+    posterior.attrs["provenance"] = json.dumps(provenance(stored))
+    with tempfile.TemporaryDirectory(prefix="miho-") as temporary:
+        posterior.to_netcdf(Path(temporary, POSTERIOR))
+        write_bytes(folder / POSTERIOR, Path(temporary, POSTERIOR).read_bytes())
+    return "\n".join([f"posterior {folder / POSTERIOR}", *posterior.attrs["notes"].splitlines()])
