@@ -1,4 +1,4 @@
-"""Families of curves drawn by seed: smooth ones, peaks, periods, kinks, and many minima.
+"""Families of curves drawn by seed: smooth ones, peaks, periods, kinks, and hard ones.
 
 Each draw has new parameters, rows and noise. The boxes are as wide as a user would choose them who
 knows little about the parameters.
@@ -28,7 +28,7 @@ class Family:
     Parameters
     ----------
     kind : str
-        "smooth", "peaks", "periods", "kinks" or "many minima".
+        "smooth", "peaks", "periods", "kinks", "many minima" or "wide periods".
     formula : callable
         A function of columns and then parameters.
     box : tuple of (low, high)
@@ -357,6 +357,16 @@ FAMILIES = {
                 U(r, 0.5, 2), U(r, 1.2, 1.8), U(r, 0, 6),
             ],
             0.3,
+        ),
+    ),
+    # A range in which most optima along the period are near its lower end.
+    "a sine of any period": Family(
+        "wide periods",
+        lambda t, c, a, T, p: c + a * np.cos(2 * np.pi * t / T - p),
+        ((-5, 5), (0, 5), (1, 100), PHASE),
+        lambda r: (
+            [np.sort(r.uniform(0, 60, int(r.integers(40, 150))))],
+            [1, U(r, 0.5, 1.5), 1 / U(r, 0.04, 0.8), U(r, 0, 6)], 1.0,
         ),
     ),
 }  # fmt: skip

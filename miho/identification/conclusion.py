@@ -18,7 +18,6 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.irreducible import Irreducible, irreducible_of
 from miho.identification.line_wrapping import with_unit
-from miho.identification.periodic import REMARK, searches_period
 from miho.identification.uncertainty import Linearised, linearised
 from miho.optim import Descents, in_optimum
 from miho.optim.evidence import is_rounding
@@ -163,9 +162,7 @@ def conclusion_on(
         objection = lost_effect(at, problem.space, _never_identifiable(problem))
     if objection:
         return Conclusion(doubt="; ".join(filter(None, [conclusion.doubt, objection])))
-    if conclusion.doubt or conclusion.certain or not searches_period(problem):
-        return conclusion
-    return Conclusion(f"{conclusion.evidence}. {REMARK}")
+    return conclusion
 
 
 def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:

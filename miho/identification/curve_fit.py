@@ -197,6 +197,12 @@ class CurveFit(Remade, LeastSquaresProblem):
         """
         return self.inputs if self._square and not self.model.ordered else ()
 
+    def angles(self, thetas: Array) -> Array:
+        """Ends of the range of each angle over the rows at thetas (n, d), in periods, (k, 2, n)."""
+        from miho.identification.periodic import angles
+
+        return angles(self, thetas)
+
     @cached_property
     def rounding(self) -> float:
         """Largest loss that is rounding and counts as 0, in the output's unit squared."""

@@ -1,15 +1,17 @@
-"""Models with an unknown period, on which more claims of convergence are wrong.
+"""Angles of the sines in a formula, from which a search learns that the model has a period.
 
 The loss of such a model has an optimum for nearly every period, because a curve that is out of
-phase fits no better than none. Searches then agree on a wrong optimum more often.
+phase fits no better than none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from miho.compiled.kernel import Formula
 from miho.identification.curve_fit import CurveFit
 from miho.models.expression import Expression
 from miho.models.formula_text import written
@@ -26,38 +28,29 @@ from miho.models.symbolic import (
 )
 from miho.quantities import Array
 
-WITH_PERIOD, WITHOUT_PERIOD = 1.5, 0.5
-"""Wrong claims of `miho_gn` (%), of 619 on models with a period and of 1,484 on others, in the
-least favourable of the measurements in `docs/evidence.md`
-(`python -m experiments.check.false_ends --instances 50`, `--draw 0` and `--draw 1`)."""
-REMARK = (
-    f"The model has an unknown period. On test problems with one, {WITH_PERIOD:g} % of such claims "
-    f"of the default method were wrong, on others {WITHOUT_PERIOD:g} %"
-)
 PERIODIC = ("sin", "cos", "tan")
 BOUNDED = (*PERIODIC, "arcsin", "arccos", "arctan", "arctan2", "tanh", "sign", *CONDITION)
 """Operations whose results stay within a range, however large an input is."""
-STARTS, ROWS = 10, 1000
-"""Configurations drawn in the box, and largest number of rows, at which angles are compared."""
+FORMULAS: WeakKeyDictionary[Formula, Formula | None] = WeakKeyDictionary()
+"""Angles of formulas, None without, cached per process for many fits of one function."""
+ROWS = 100
+"""Largest number of rows at which angles are compared."""
 
 
-def searches_period(problem: CurveFit) -> bool:
-    """Whether the model is a formula with a period that depends on free parameters.
+def angles(problem: CurveFit, thetas: Array) -> Array:
+    """Ends of the range of each angle over the rows, in periods, at `thetas` (n, d), (k, 2, n).
 
-    This is the case if the angle of a sine, cosine or tangent follows an input without bound, and
-    passes through one period more at one place of the box than at another. The sine of an
-    arctangent in the Magic Formula has no period. The result is False for
-    a model that is no formula.
+    The k angles are of sines, cosines and tangents that follow an input without bound: the sine of
+    an arctangent in the Magic Formula has no period. k is 0 for a model that is no formula. The
+    model is not evaluated.
     """
-    space = problem.space
-    thetas = space.decode(space.initial(STARTS))
-    ends = np.repeat(thetas[:1], 2 * len(space), axis=0)  # with one parameter at an end
-    np.fill_diagonal(ends[: len(space)], space.low)
-    np.fill_diagonal(ends[len(space) :], space.high)
-    return any(
-        isinstance(model, Expression) and _has_a_period(model, columns, values)
-        for model, columns, values in _parts(problem, np.concatenate([thetas, ends]))
-    )
+    ends = [
+        np.broadcast_to([angle.min(axis=-1), angle.max(axis=-1)], (2, len(thetas)))
+        for model, columns, values in _parts(problem, thetas)
+        if isinstance(model, Expression)
+        for angle in _angles(model, columns, values)
+    ]
+    return np.reshape(ends, (-1, 2, len(thetas))) / (2 * np.pi)
 
 
 def _parts(problem: CurveFit, thetas: Array) -> Iterator[tuple[Model, Sequence[Array], Array]]:
@@ -76,37 +69,38 @@ def _parts(problem: CurveFit, thetas: Array) -> Iterator[tuple[Model, Sequence[A
             yield part.model, columns, thetas[:, chosen]
 
 
-def _has_a_period(model: Expression, columns: Sequence[Array], thetas: Array) -> bool:
-    """Whether an angle of a formula differs by over a period between parameters (n, d)."""
-    inputs = [argument(f"x{k}") for k in range(len(columns))]
-    parameters = [argument(f"p{k}") for k in range(thetas.shape[1])]
-    try:
-        graph = trace(model.value, tuple(inputs), tuple(parameters))
-    except NotAFormulaError:
-        return False
-    sines = [symbol for symbol in ordered([graph]) if symbol.operation in PERIODIC]
-    angles = [sine.arguments[0] for sine in sines if _unbounded(sine.arguments[0], inputs)]
-    if not angles:
-        return False
-    names = {
-        "inputs": [column.arguments[0] for column in inputs],
-        "theta": [parameter.arguments[0] for parameter in parameters],
-    }
-    values = written("angles", names, angles, single=False)
+def _angles(model: Expression, columns: Sequence[Array], thetas: Array) -> list[Array]:
+    """Angles of a formula at parameters (n, d), (n, m) or (1, m) each, on m of the rows."""
+    value = model.value
+    if value not in FORMULAS:
+        FORMULAS[value] = _formula_of_angles(value, len(columns), thetas.shape[1])
+    angles = FORMULAS[value]
+    if angles is None:
+        return []
     count = columns[0].size
     rows = np.linspace(0, count - 1, min(count, ROWS)).astype(int)
     with np.errstate(all="ignore"):
-        at = values([column[rows] for column in columns], tuple(thetas.T[:, :, None]))
-        return any(_differ(np.ptp(angle, axis=-1)) for angle in at)
+        at = angles(tuple(column[rows] for column in columns), tuple(thetas.T[:, :, None]))
+    return [np.atleast_2d(angle) for angle in at]
+
+
+def _formula_of_angles(value: Formula, inputs: int, parameters: int) -> Formula | None:
+    """Function of the angles of a formula, None if it has none or cannot be traced."""
+    x = [argument(f"x{k}") for k in range(inputs)]
+    p = [argument(f"p{k}") for k in range(parameters)]
+    try:
+        graph = trace(value, tuple(x), tuple(p))
+    except NotAFormulaError:
+        return None
+    sines = [symbol for symbol in ordered([graph]) if symbol.operation in PERIODIC]
+    angles = [sine.arguments[0] for sine in sines if _unbounded(sine.arguments[0], x)]
+    if not angles:
+        return None
+    names = {"inputs": [s.arguments[0] for s in x], "theta": [s.arguments[0] for s in p]}
+    return written("angles", names, angles, single=False)
 
 
 def _unbounded(angle: Symbol, inputs: list[Symbol]) -> bool:
     """Whether an angle depends on an input other than through a bounded operation."""
     symbols = ordered([angle], ends=(ARGUMENT, CONSTANT, *BOUNDED))
     return not set(inputs).isdisjoint(symbols)
-
-
-def _differ(ranges: Array) -> bool:
-    """Whether ranges (n,) of an angle, in rad, differ by more than a period."""
-    finite = ranges[np.isfinite(ranges)]
-    return finite.size > 0 and bool(np.ptp(finite) > 2 * np.pi)

@@ -6,13 +6,18 @@ Shared by `MIHOGN` and `MIHOQN`, which differ in the steps of their descents.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
+
+if TYPE_CHECKING:
+    from miho.optim.periods import Period
 
 KINDS = "own", "scale", "uniform"
 TURNS = "thirds", "scale", "uniform", "own"
@@ -106,13 +111,19 @@ def luby(k: int) -> int:
 
 
 def draw_starts(
-    space: Space, n: int, rng: np.random.Generator, bracket: int, draws: str = "turns"
+    space: Space,
+    n: int,
+    rng: np.random.Generator,
+    bracket: int,
+    draws: str = "turns",
+    periods: Mapping[int, Period] | None = None,
 ) -> Array:
     """Starts of a bracket in search coordinates, (n, d).
 
     `bracket` counts from 1; the first bracket begins with the common start. `draws` is the
     distribution: "own" is the initial distribution of the space; "scale" is log-uniform in size
-    (see `by_scale`), for ranges that are only an order of magnitude; "uniform" fills the bounds;
+    (see `by_scale`), for ranges that are only an order of magnitude; "uniform" fills the bounds,
+    for parameters of `periods` period by period;
     "thirds" uses each of them in turn; "turns" chooses from TURNS by the number of the bracket.
     """
     low, high = space.bounds
@@ -133,6 +144,9 @@ def draw_starts(
         for k, kind in enumerate(KINDS):
             starts[k :: len(KINDS)] = draw(kind, u[k :: len(KINDS)])
     else:
+        if draws == "uniform":
+            for k, period in (periods or {}).items():
+                u[:, k] = period.at(u[:, k])
         starts = draw(draws, u)
     if bracket == 1:
         starts[0] = space.initial(1)[0]

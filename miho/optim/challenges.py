@@ -5,7 +5,11 @@ A minimum that has missed a peak or a period usually has the other parameters ri
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from miho.optim.brackets import alike
 from miho.optim.miho_gn_state import MIHOGNState
@@ -46,12 +50,101 @@ def scanned(state: MIHOGNState, oracle: Oracle) -> Array | None:
     n = min(MOST_POINTS, int(SHARE * state.spent_before / scans.size))
     if n < FEWEST_POINTS:
         return None
-    points = (np.arange(n) + state.bracket * GOLDEN % 1) / n
+    points = _spaced(n, state)
     x = np.tile(best, (scans.size, n, 1))
     x[np.arange(scans.size), :, scans] = points
-    configurations = state.box.origin + state.box.width * x.reshape(-1, best.size)
-    losses = oracle(state.space.decode(configurations)).reshape(scans.size, n)
-    sides = np.pad(losses, ((0, 0), (1, 1)), constant_values=np.inf)
-    low = (losses < sides[:, :-2]) & (losses < sides[:, 2:])
-    low &= np.abs(points - best[scans, None]) > 1 / n  # the others lead back
-    return x[low][np.argsort(losses[low], kind="stable")[:MOST_STARTS]] if low.any() else None
+    losses = oracle(_thetas(x.reshape(-1, best.size), state)).reshape(scans.size, n)
+    apart = [_apart(points, best[k]) for k in scans]
+    return _lowest(x.reshape(-1, best.size), np.where(_low(losses) & apart, losses, np.inf).ravel())
+
+
+def spectrum(state: MIHOGNState, oracle: Oracle) -> Array | None:
+    """Lowest points of the loss along each parameter of a period, (k, d).
+
+    As `scanned`, but values are a period apart, each has several phases, and the linear parameters
+    are solved for, as in a periodogram. Values are farther apart if the scan would cost more than
+    the search so far.
+    """
+    best, periods = state.minima.x[state.best_minimum], state.periods
+    cost = sum(period.passed[-1] * len(period.turns) for period in periods.values())
+    most = state.spent_before / (state.box.linear.size + 1)
+    lines, lowest = [], []
+    for k, period in periods.items():
+        points = period.at(_spaced(int(min(1.0, most / cost) * period.passed[-1]), state))
+        line = np.tile(best, (points.size, 1))
+        line[:, k] = points
+        lines.append(np.stack([period.turned(line, turn) for turn in period.turns]))
+    x = np.concatenate([line.reshape(-1, best.size) for line in lines])
+    losses = _solve_linear(x, state, oracle)
+    ends = np.cumsum([line.shape[0] * line.shape[1] for line in lines])[:-1]
+    for k, line, values in zip(periods, lines, np.split(losses, ends), strict=True):
+        turned = values.reshape(line.shape[:2])
+        low = _low(turned.min(axis=0)) & _apart(line[0, :, k], best[k])
+        low = low & (np.arange(len(turned))[:, None] == turned.argmin(axis=0))
+        lowest.append(np.where(low, turned, np.inf).ravel())
+    return _lowest(x, np.concatenate(lowest))
+
+
+def _solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
+    """Losses (n,) at points x (n, d) after a solution for their linear parameters, set in x.
+
+    Points and residuals that an interrupted scan has evaluated are kept in the state.
+    """
+    linear, scan = state.box.linear, state.scan
+    far = np.where(x[:, linear] <= 0.5, 1.0, 0.0)  # wide differences are more accurate
+    for point, ends in zip(x[len(scan.solved) :], far[len(scan.solved) :], strict=True):
+        probes = np.tile(point, (linear.size + 1, 1))
+        probes[np.arange(linear.size) + 1, linear] = ends
+        thetas = _thetas(probes, state)
+        while len(scan.residuals) < len(thetas):
+            scan.residuals.extend(oracle.residual_rows(thetas[len(scan.residuals) :]))
+        scan.solved.append(_solution(scan.residuals, point[linear], ends))
+        scan.residuals.clear()
+    losses = np.array([loss for loss, _ in scan.solved])
+    x[:, linear] = np.reshape([solution for _, solution in scan.solved], far.shape)
+    scan.solved.clear()
+    return losses
+
+
+def _solution(residuals: Sequence[Array], values: Array, ends: Array) -> tuple[float, Array]:
+    """Smallest loss over the linear parameters, and where it is in their ranges, (p,).
+
+    `residuals` (p + 1, N) are at the `values` (p,), and with one parameter each at its end (p,).
+    """
+    if not all(np.isfinite(each).all() for each in residuals):
+        return math.inf, values
+    columns = (np.array(residuals[1:]) - residuals[0]).T / (ends - values)
+    solution = np.clip(values - np.linalg.lstsq(columns, residuals[0])[0], 0.0, 1.0)
+    return float(np.mean((residuals[0] + columns @ (solution - values)) ** 2)), solution
+
+
+def _spaced(n: int, state: MIHOGNState) -> Array:
+    """Evenly spaced shares (n,) of a range, which differ from bracket to bracket."""
+    return (np.arange(n) + state.bracket * GOLDEN % 1) / n
+
+
+def _apart(points: Array, best: float) -> NDArray[np.bool_]:
+    """Whether points (n,) are apart from the best minimum; its two neighbours lead back to it."""
+    apart = np.ones(points.size, bool)
+    after = int(np.searchsorted(points, best))
+    apart[max(after - 1, 0) : after + 1] = False
+    return apart
+
+
+def _low(losses: Array) -> NDArray[np.bool_]:
+    """Whether losses (..., n) are lower than both neighbours."""
+    outside = np.full((*losses.shape[:-1], 1), np.inf)
+    sides = np.concatenate([outside, losses, outside], axis=-1)
+    return np.asarray((losses < sides[..., :-2]) & (losses < sides[..., 2:]))
+
+
+def _lowest(x: Array, losses: Array) -> Array | None:
+    """Points of x (n, d) with the lowest finite losses (n,); None if there are none."""
+    order = np.argsort(losses, kind="stable")[:MOST_STARTS]
+    order = order[np.isfinite(losses[order])]
+    return x[order] if order.size else None
+
+
+def _thetas(x: Array, state: MIHOGNState) -> Array:
+    """Parameters in units (n, d) at unit coordinates x (n, d)."""
+    return state.space.decode(state.box.origin + state.box.width * x)

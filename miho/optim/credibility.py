@@ -11,8 +11,6 @@ from miho.optim.evidence import EPSILON, Agreement, in_optimum
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, at_bound
 from miho.optim.oracle import Oracle
-from miho.optim.structure import MOST as MOST_ROWS
-from miho.optim.structure import has_structure
 from miho.quantities import Array
 
 MOST = 3 / 4
@@ -85,9 +83,9 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     if after == 0:
         state.near = _neighbours(state, oracle)
     elif after > 0 and after % 2 and state.minima.loss.size > 1:
-        from miho.optim.challenges import scanned
+        from miho.optim.challenges import scanned, spectrum
 
-        state.near = scanned(state, oracle)
+        state.near = (spectrum if after == 1 and state.periods else scanned)(state, oracle)
     state.prepared = turn
 
 
@@ -98,6 +96,8 @@ def _neighbours(state: MIHOGNState, oracle: Oracle) -> Array | None:
     missing, if the data do not determine all parameters, or for more than MOST_ROWS rows, which
     leave no room for an optimum between two rows.
     """
+    from miho.optim.structure import MOST as MOST_ROWS
+
     N, best = int(state.level_rows[-1]), state.minima.x[state.best_minimum]
     if N > MOST_ROWS:
         return None
@@ -125,6 +125,9 @@ def structured(oracle: Oracle, theta: Array) -> bool:
     inputs, rows = oracle.traits.row_inputs, oracle.traits.rows
     if not inputs:
         return False
+    from miho.optim.structure import MOST as MOST_ROWS
+    from miho.optim.structure import has_structure
+
     share = 1.0 if rows is None or rows <= MOST_ROWS else MOST_ROWS / rows
     try:
         residuals = oracle.residuals(theta, share)

@@ -237,9 +237,13 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         budget, n = self.sizes(state.bracket, state.d, look_cost)
         state.settings = state.settings._replace(projects=projects, rung_budget=budget)
         state.spent_before = oracle.evaluations
+        if state.bracket == 2:
+            from miho.optim.periods import periods_of
+
+            state.periods.update(periods_of(oracle, state.space, state.box.nonlinear))
         # Its starts, to be evaluated on the first level, or on all rows if they are near the best.
         n, level = 1 if state.linear else n, 0
-        starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
+        starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws, state.periods)
         if state.challenging:
             starts, level = self._challengers(state, starts)
         n = len(starts)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ from miho.optim.brackets import DRAWS, Brackets, check_brackets
 from miho.optim.space import Space
 from miho.quantities import Array, Integers
 from miho.validate import one_of, positive_settings, whole, whole_settings
+
+if TYPE_CHECKING:
+    from miho.optim.periods import Period
 
 ROOM = 1 << 22
 """Largest number of stored derivatives of a rung. Beyond it each step evaluates its derivatives
@@ -89,6 +92,13 @@ class Blocks(NamedTuple):
     room: Array
 
 
+class Scan(NamedTuple):
+    """Loss and linear parameters at the points of a scan, and residuals at the next point."""
+
+    solved: list[tuple[float, Array]]
+    residuals: list[Array]
+
+
 @dataclass
 class MIHOGNState:
     """State of the search: the current bracket, and the known minima.
@@ -116,6 +126,8 @@ class MIHOGNState:
         Loss of the minimum whose residuals were tested, and whether they have structure.
     near, prepared : ndarray of shape (k, d) or None, (float, int)
         Starts of a challenge, unless they are drawn; loss and `passed` of the best minimum then.
+    scan, periods : Scan, dict of Period
+        A scan that is not complete, and the parameters of a period by position.
     """
 
     space: Space
@@ -142,6 +154,8 @@ class MIHOGNState:
     structured: bool = False
     near: Array | None = None
     prepared: tuple[float, int] = math.inf, 0
+    scan: Scan = field(default_factory=lambda: Scan([], []))
+    periods: dict[int, Period] = field(default_factory=dict)
     finished: bool = False
     blocks: Blocks | None = None
 

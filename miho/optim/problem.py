@@ -110,6 +110,10 @@ class Problem(ABC):
         """
         return fidelity
 
+    def angles(self, thetas: Array) -> Array:
+        """Ends of the range of each angle over the rows at thetas (n, d), in periods, (k, 2, n)."""
+        return np.empty((0, 2, len(thetas)))
+
 
 class LeastSquaresProblem(Problem):
     """Abstract base class of a problem whose loss is the mean square of residuals (Eq. 1).
@@ -233,6 +237,13 @@ class Traits:
     def cost(self, fidelity: float) -> float:
         """Cost of one evaluation at a fidelity, in full evaluations."""
         return self._problem.cost(fidelity)
+
+    def angles(self, thetas: Array) -> Array:
+        """Ends of the range of each angle over the rows at thetas (n, d), in periods, (k, 2, n).
+
+        The k angles are of a formula's sines, cosines and tangents that follow an input.
+        """
+        return self._problem.angles(thetas)
 
 
 def part_of(fidelity: float) -> tuple[float, ...]:

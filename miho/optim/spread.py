@@ -46,6 +46,10 @@ class SpreadProblem(Problem):
         """Cost of an evaluation, as for the wrapped problem."""
         return self.problem.cost(fidelity)
 
+    def angles(self, thetas: Array) -> Array:
+        """Ends of the range of each angle, as for the wrapped problem."""
+        return self.problem.angles(thetas)
+
     def _task(self, kind: str, fidelity: float) -> Evaluated:
         """Evaluator of one kind of value."""
         if (kind, fidelity) not in self._tasks:
