@@ -26,8 +26,8 @@ counts as before a change, `gain` the information that the last row gave the bes
 
 JUMP = 0.35
 """Share of its value by which a parameter may jump, unless `changes` says otherwise."""
-AROUND_0 = 1000.0
-"""Largest size of a parameter that may be 0, in standard errors."""
+NEAR_0, AROUND_0 = 3.0, 1000.0
+"""Standard errors within which a parameter may be 0, and its largest size then."""
 PLACE = {name: k for k, name in enumerate(NUMBERS)}
 
 
@@ -168,7 +168,7 @@ def rules_of(
         k = place_of("changes", name, system.names)
         positive(f"changes.{name}", share)
         value, width = abs(theta[k]), system.space.high[k] - system.space.low[k]
-        if value < deviations[k]:  # perhaps 0, of which a share is no size
+        if value < NEAR_0 * deviations[k]:  # perhaps 0, of which a share is no size
             value = max(value, min(UNIFORM * width, AROUND_0 * deviations[k]))
         watched[k], unit[k] = 1.0, share * value or deviations[k]
     names = ("hazard", "onset", "outliers", "width", "threshold", "near", "use", "smooth", "hold",

@@ -616,16 +616,17 @@ def test_a_parameter_that_the_fit_does_not_know_may_be_anywhere_in_its_bounds() 
     assert (low, high) == (0, 5)
 
 
+@pytest.mark.parametrize("seed", [0, 11])  # estimates of -0.8 and 2 standard errors
 @pytest.mark.parametrize("known", [{"space": {"a": (-5, 5)}}, {"start": {"a": 0.0}}])
-def test_a_parameter_that_is_almost_0_may_jump(known: dict[str, Any]) -> None:
+def test_a_parameter_that_is_almost_0_may_jump(known: dict[str, Any], seed: int) -> None:
     """A share of its value is no size, so the bounds or, if they are wide, its error give one."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     x, noise = rng.uniform(-1, 1, 400), 0.02 * rng.standard_normal(400)
     y = np.where(np.arange(400) < 200, 0.0, 0.8) * x + noise
     tracker = Tracker(miho.fit(lambda x, a: a * x, x[:60], y[:60], **known))
     states = [tracker.update({"x": x[k], "y": y[k]}) for k in range(60, 400)]
     [alarm] = [state.alarm for state in states if state.alarm]
-    assert str(alarm).startswith("a rose by 0.8 ± 0.0")
+    assert str(alarm).startswith("a rose by 0.8")
     low, high = states[-1].intervals()[0]
     assert low < 0.8 < high
 
