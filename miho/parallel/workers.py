@@ -308,10 +308,10 @@ def start_server(modules: Sequence[str]) -> None:
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
-    handler = signal.getsignal(signal.SIGINT)
-    is_main = threading.current_thread() is threading.main_thread()
+    handler = signal.getsignal(signal.SIGINT)  # None if a program in C embeds Python
+    ours = handler is not None and threading.current_thread() is threading.main_thread()
     try:
-        if is_main:
+        if ours:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         forkserver.ensure_running()
     except OSError as error:
@@ -323,7 +323,7 @@ def start_server(modules: Sequence[str]) -> None:
             "set it to a shorter path, for example /tmp"
         ) from None
     finally:
-        if is_main:
+        if ours:
             signal.signal(signal.SIGINT, handler)
         for name, value in before.items():
             if value is None:

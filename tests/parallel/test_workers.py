@@ -160,3 +160,10 @@ def test_the_server_ignores_interrupts_while_it_imports(monkeypatch: pytest.Monk
     start_server([])
     assert handlers == [signal.SIG_IGN]
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_the_server_starts_in_a_program_that_embeds_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python cannot set a handler of Ctrl-C that it does not know."""
+    monkeypatch.setattr("multiprocessing.forkserver.ensure_running", lambda: None)
+    monkeypatch.setattr("signal.getsignal", lambda number: None)
+    start_server([])
