@@ -307,6 +307,20 @@ def test_a_configuration_at_which_the_model_raises_has_no_value(lengths: tuple[i
         miho.fit_many(*arguments[:3], {"a": (0, 5), "b": (5, 9)}, by="run", start={"a": 1, "b": 6})
 
 
+def test_a_dataset_at_which_the_model_always_raises_has_no_values() -> None:
+    def raising(t: np.ndarray, a: float, b: float) -> np.ndarray:
+        if t.size == 40:
+            raise RuntimeError("too short")
+        return a * np.exp(-b * t)
+
+    runs = [pd.DataFrame({"run": n, "t": t[:n], "V": np.exp(-1.5 * t[:n])}) for n in (50, 40)]
+    box = {"a": (0, 5), "b": (0, 10)}
+    table = miho.fit_many(raising, pd.concat(runs), "V", box, by="run", start={"a": 1, "b": 1})
+    assert table["error"].tolist() == [pytest.approx(0, abs=1e-9), np.inf]
+    assert table.loc[40, ["a", "a_error", "b", "b_error"]].isna().all()
+    assert table["converged"].tolist() == [True, False]
+
+
 def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
     frame = pd.DataFrame({"run": 1, "t": t, "V": y[0]})
     for arguments, keywords, message in (

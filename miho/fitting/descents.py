@@ -182,10 +182,11 @@ class Batch:
         for chunk in self.chunks(np.flatnonzero(freedom > 0)):
             J = self.slopes(ends.thetas[chunk], chunk)
             J = np.where(fixed[chunk][:, None, :], 0.0, J)
-            finite = np.reshape(np.isfinite(J).all(axis=(1, 2)), (-1, 1))
-            unknown = fixed[chunk] | ~finite
+            squares = ends.squares[chunk]
+            finite = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(squares)
+            unknown = fixed[chunk] | ~finite[:, None]
             inverse, free = inverses(np.where(np.isfinite(J), J, 0.0))
-            inverse *= (ends.squares[chunk] / freedom[chunk])[:, None, None]
+            inverse *= (np.where(finite, squares, 0.0) / freedom[chunk])[:, None, None]
             k, j = np.nonzero(free)
             inverse[k, j], inverse[k, :, j], inverse[k, j, j] = 0.0, 0.0, np.inf
             inverse[unknown[:, :, None] | unknown[:, None, :]] = np.nan
