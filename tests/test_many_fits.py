@@ -10,6 +10,7 @@ from scipy.optimize import curve_fit
 
 import miho
 from miho.core import machine
+from miho.fitting import many_fits
 from miho.vehicle.models import Pacejka
 
 BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
@@ -305,6 +306,20 @@ def test_a_configuration_at_which_the_model_raises_has_no_value(lengths: tuple[i
     assert table[["a", "b"]].to_numpy() == pytest.approx(np.array([[1, 1.5], [2, 1.5]]), rel=1e-6)
     with pytest.raises(ValueError, match="raising raises RuntimeError: too fast"):
         miho.fit_many(*arguments[:3], {"a": (0, 5), "b": (5, 9)}, by="run", start={"a": 1, "b": 6})
+
+
+def test_few_datasets_are_searched_once_and_not_from_common_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    searches: list[object] = []
+    own = many_fits.searched
+    monkeypatch.setattr(
+        many_fits, "searched", lambda fit, **seed: (searches.append(fit), own(fit, **seed))[1]
+    )
+    monkeypatch.setattr(many_fits.Batch, "screened", None)
+    table = miho.fit_many(lambda t, a: a * np.sort(t), t, np.array([t, 2 * t]), {"a": (0, 5)})
+    assert table["a"].tolist() == pytest.approx([1, 2])
+    assert len(searches) == 2
 
 
 def test_a_dataset_at_which_the_model_always_raises_has_no_values() -> None:

@@ -6,6 +6,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -143,6 +144,7 @@ def fit_many(
         raise ValueError("priors: fit_many does not support them; remove them, or use miho.fit")
     thetas = None if starts is None else starts_of(problem, starts, len(datasets))
 
+    @cache
     def search(k: int) -> Array:
         own = CurveFit(chosen, dataset(k), bounds, compiled=False)
         return searched(own, seed=seed).theta
@@ -219,7 +221,7 @@ def _by_numpy(
     ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
     worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, count // SEARCHED)]
     ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
-    for starts in batch.screened(SCREENED, BEST, progress):
+    for starts in batch.screened(SCREENED, BEST, progress) if count > len(few) else ():
         ends = ends.better_of(descend(batch, everyone, starts[None], progress))
     which, better = _to_check(count, seed), list[Array]()
     for k in which:
