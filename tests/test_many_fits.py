@@ -11,6 +11,7 @@ from scipy.optimize import curve_fit
 import miho
 from miho.core import machine
 from miho.fitting import many_fits
+from miho.models.model import rows_of
 from miho.vehicle.models import Pacejka
 
 BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
@@ -334,6 +335,17 @@ def test_a_dataset_at_which_the_model_always_raises_has_no_values() -> None:
     assert table["error"].tolist() == [pytest.approx(0, abs=1e-9), np.inf]
     assert table.loc[40, ["a", "a_error", "b", "b_error"]].isna().all()
     assert table["converged"].tolist() == [True, False]
+
+
+def test_a_model_that_raises_at_a_configuration_is_called_once() -> None:
+    calls: list[np.ndarray] = []
+
+    def predict(thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        calls.append(thetas)
+        raise RuntimeError("too fast")
+
+    assert np.isnan(rows_of(predict, np.ones((1, 2)), t)).all()
+    assert len(calls) == 1
 
 
 def test_what_does_not_fit_together_is_refused_in_a_line() -> None:

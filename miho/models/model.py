@@ -278,7 +278,7 @@ def rows_of(predict: Predict, thetas: Array, *inputs: Array) -> Array:
         return predict(thetas, *inputs)
     except Exception:  # noqa: BLE001 -- whatever a model raises
         values = np.full((len(thetas), inputs[0].size), np.nan)
-        for k, theta in enumerate(thetas):
+        for k, theta in enumerate(thetas if len(thetas) > 1 else ()):
             with contextlib.suppress(Exception):
                 values[k] = predict(theta[None], *inputs)[0]
         return values
