@@ -10,7 +10,8 @@ from scipy.optimize import curve_fit
 
 import miho
 from miho.core import machine
-from miho.fitting import many_fits
+from miho.fitting.search import searched
+from miho.identification import CurveFit
 from miho.models.model import rows_of
 from miho.vehicle.models import Pacejka
 
@@ -313,11 +314,13 @@ def test_few_datasets_are_searched_once_and_not_from_common_starts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     searches: list[object] = []
-    own = many_fits.searched
-    monkeypatch.setattr(
-        many_fits, "searched", lambda fit, **seed: (searches.append(fit), own(fit, **seed))[1]
-    )
-    monkeypatch.setattr(many_fits.Batch, "screened", None)
+
+    def counted(problem: CurveFit, **settings: int) -> miho.Fit:
+        searches.append(problem)
+        return searched(problem, **settings)
+
+    monkeypatch.setattr("miho.fitting.many_fits.searched", counted)
+    monkeypatch.setattr("miho.fitting.descents.Batch.screened", None)
     table = miho.fit_many(lambda t, a: a * np.sort(t), t, np.array([t, 2 * t]), {"a": (0, 5)})
     assert table["a"].tolist() == pytest.approx([1, 2])
     assert len(searches) == 2

@@ -21,7 +21,7 @@ from miho.identification import CurveFit, Report
 from miho.online import OnlineMethod, Running
 from miho.online.method import Problems
 from miho.online.motion import StepRows, is_motion, measured_motion
-from miho.online.outputs import TIME, noise_of_rows
+from miho.online.outputs import TIME, noise_of_rows, problem_of
 from miho.quantities import Array
 
 
@@ -85,8 +85,8 @@ def task_of(cfg: DictConfig) -> Task:
     if kind not in sources:
         raise ConfigError(f"stream.source: is {kind!r}; expected {', '.join(sources)}")
     report = searched(problem, seed=cfg.seed).report()
-    if problem.sigma is None:
-        problem = replace(problem, sigma=noise_of_rows(report.at))
+    sigma = problem_of(report).sigma
+    problem = replace(problem, sigma=noise_of_rows(report.at) if sigma is None else sigma)
     print(f"offline data: {len(problem.dataset):,} rows of {problem.dataset.name}", file=sys.stderr)
     if report.at.dependence is not None:
         print(

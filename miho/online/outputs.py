@@ -217,6 +217,14 @@ def noise_of_fits(reports: Iterable[Report]) -> float | None:
     return next((noise for noise, rounding in noises if noise > rounding), exact)
 
 
+def problem_of(report: Report) -> CurveFit:
+    """Return the problem of a report; a known sigma then allows for correlated errors of rows."""
+    problem, at = report.problem, report.at
+    if not at.noise_known or at.dependence is None or problem.model.ordered:
+        return problem
+    return problem if parts_of(problem.model) else replace(problem, sigma=noise_of_rows(at))
+
+
 def noise_of_rows(at: Linearised) -> float:
     """Return the noise of independent rows that say as much as a fit's rows, perhaps correlated."""
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)

@@ -15,7 +15,7 @@ from miho.identification.report import Report, Reporting
 from miho.models.identified import Identified
 from miho.online.method import Problems, Rows, Running, rows_of
 from miho.online.motion import StepRows, is_motion, one_step
-from miho.online.outputs import TIME, Output, noise_of, noise_of_fits, system_of
+from miho.online.outputs import TIME, Output, noise_of, noise_of_fits, problem_of, system_of
 from miho.online.population import Population
 from miho.online.present import present_parameters
 from miho.online.prior import start_of
@@ -96,7 +96,7 @@ class Tracker(Running):
         noise = noise_of_fits(each for each in (problem, prior) if isinstance(each, Report))
         if isinstance(problem, Report):
             prior = problem if prior is None else prior
-            problem = problem.problem
+            problem = problem_of(problem)
         self.settings = settings_of(settings)
         positive("period", period)
         for name, values in (("changes", changes), ("input_noise", input_noise)):

@@ -631,8 +631,9 @@ def test_a_parameter_that_is_almost_0_may_jump(known: dict[str, Any], seed: int)
     assert low < 0.8 < high
 
 
+@pytest.mark.parametrize("sigma", [None, 0.1])
 @pytest.mark.parametrize("seed", [5, 6, 9])
-def test_errors_that_a_filter_has_correlated_are_no_change(seed: int) -> None:
+def test_errors_that_a_filter_has_correlated_are_no_change(seed: int, sigma: float | None) -> None:
     """Errors after a low pass of first order, in constant parameters."""
     rng, n = np.random.default_rng(seed), 2500
     x, errors = np.sin(0.02 * np.arange(n)), rng.standard_normal(n)
@@ -640,6 +641,6 @@ def test_errors_that_a_filter_has_correlated_are_no_change(seed: int) -> None:
         errors[k] = 0.8 * errors[k - 1] + 0.2 * errors[k]
     rows = {"x": x, "y": 2 * x + 1 + 0.3 * errors}
     learned = {name: column[:600] for name, column in rows.items()}
-    tracker = Tracker(miho.fit(line, learned, "y", {"a": (0, 5), "b": (0, 5)}))
+    tracker = Tracker(miho.fit(line, learned, "y", {"a": (0, 5), "b": (0, 5)}, sigma=sigma))
     states = [tracker.update({"x": x[k], "y": rows["y"][k]}) for k in range(600, n)]
     assert not any(state.alarm for state in states)
