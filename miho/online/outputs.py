@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +149,7 @@ def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:
         rows = problem.dataset[PART] == k
         columns = {name: problem.dataset[name][rows] for name in part.model.inputs}
         sigma = float(np.median(problem.dataset[str(problem.sigma)][rows]))
-        if _is_rounding(sigma, problem.dataset[problem.dataset.output][rows], problem.sigma_known):
+        if _is_rounding(sigma, _largest(problem, rows), problem.sigma_known):
             raise ValueError(
                 _exact(part.name, "as the fourth entry of this part of miho.fit_joint")
             )
@@ -165,22 +166,22 @@ def _sigma(problem: CurveFit, noise: float | None) -> float:
         raise ValueError(
             f"problem: {problem.name} has no sigma; give sigma, or its fit as the prior"
         )
-    if noise <= _rounding(problem.dataset[problem.dataset.output]):
+    if noise <= EXACT * _largest(problem):
         raise ValueError(_exact(problem.name, "to the fit, as sigma of miho.fit"))
     return float(noise)
 
 
-def _rounding(output: Array) -> float:
-    return EXACT * float(np.abs(output).max(initial=0.0))
+def _largest(problem: CurveFit, rows: Any = slice(None)) -> float:
+    return float(np.abs(problem.dataset[problem.dataset.output][rows]).max(initial=0.0))
 
 
-def _is_rounding(sigma: float, output: Array, some_given: bool) -> bool:
+def _is_rounding(sigma: float, largest: float, some_given: bool) -> bool:
     """Whether sigma of a part was estimated from errors that are rounding.
 
     If sigma of some parts was given, only the least estimate is certain to be none of them.
     """
-    least = float(f"{LEAST * float(np.abs(output).max(initial=0.0)):.4g}")
-    return sigma == least if some_given else sigma <= _rounding(output)
+    least = float(f"{LEAST * largest:.4g}")
+    return sigma == least if some_given else sigma <= EXACT * largest
 
 
 def _exact(name: str, place: str) -> str:
@@ -209,10 +210,7 @@ def _common(problems: Sequence[CurveFit]) -> Space:
 
 def noise_of_fits(reports: Iterable[Report]) -> float | None:
     """Return the noise of the first fit that has errors; None without fits."""
-    noises = [
-        (noise_of_rows(r.at), _rounding(r.problem.dataset[r.problem.dataset.output]))
-        for r in reports
-    ]
+    noises = [(noise_of_rows(report.at), EXACT * _largest(report.problem)) for report in reports]
     exact = noises[0][0] if noises else None
     return next((noise for noise, rounding in noises if noise > rounding), exact)
 
