@@ -27,7 +27,7 @@ counts as before a change, `gain` the information that the last row gave the bes
 JUMP = 0.35
 """Share of its value by which a parameter may jump, unless `changes` says otherwise."""
 NEAR_0, AROUND_0 = 3.0, 1000.0
-"""Standard errors within which a parameter may be 0, and its largest size then."""
+"""Standard errors within which a parameter of either sign may be 0, and its largest size then."""
 PLACE = {name: k for k, name in enumerate(NUMBERS)}
 
 
@@ -167,8 +167,9 @@ def rules_of(
     for name, share in changes.items():
         k = place_of("changes", name, system.names)
         positive(f"changes.{name}", share)
-        value, width = abs(theta[k]), system.space.high[k] - system.space.low[k]
-        if value < NEAR_0 * deviations[k]:  # perhaps 0, of which a share is no size
+        low, value = system.space.low[k], abs(theta[k])
+        if value < (NEAR_0 if low < 0 else 1) * deviations[k]:  # a share of 0 is no size
+            width = system.space.high[k] - low
             value = max(value, min(UNIFORM * width, AROUND_0 * deviations[k]))
         watched[k], unit[k] = 1.0, share * value or deviations[k]
     names = ("hazard", "onset", "outliers", "width", "threshold", "near", "use", "smooth", "hold",

@@ -631,6 +631,19 @@ def test_a_parameter_that_is_almost_0_may_jump(known: dict[str, Any], seed: int)
     assert low < 0.8 < high
 
 
+def test_a_positive_parameter_that_is_hardly_known_jumps_by_a_share_of_its_value() -> None:
+    rng = np.random.default_rng(0)
+    x, noise = rng.uniform(-1, 1, 700), 0.05 * rng.standard_normal(700)
+    y = np.where(np.arange(700) < 600, 1.2, 0.9) * x + noise
+    data = miho.Dataset("line", {"x": x[:50], "y": y[:50]}, {"x": "", "y": ""}, "y")
+    space = miho.Space((miho.Parameter("a", "", 0, 100),))
+    problem = miho.CurveFit(lambda x, *, a: a * x, data, space, sigma=0.05)
+    tracker = Tracker(problem, prior={"a": (1.0, 0.45)})
+    states = [tracker.update({"x": x[k], "y": y[k]}) for k in range(700)]
+    [alarm] = [state.alarm for state in states if state.alarm]
+    assert str(alarm).startswith("a fell by")
+
+
 @pytest.mark.parametrize("sigma", [None, 0.1])
 @pytest.mark.parametrize("seed", [5, 6, 9])
 def test_errors_that_a_filter_has_correlated_are_no_change(seed: int, sigma: float | None) -> None:
