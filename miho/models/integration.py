@@ -43,10 +43,6 @@ class Values:
         """The outputs, (K, n)."""
         return self.equations.observed(t, u, z, self.p)
 
-    def slope(self, t: float, u: Array, z: Array) -> Array:
-        """Return the derivatives (S, S) of dx / dt by x, at the first parameter row."""
-        return self.equations.rate_slopes(t, u, z[:, 0], self.p[:, 0])[0]
-
 
 @dataclass(frozen=True)
 class Sensitivities:
@@ -75,10 +71,6 @@ class Sensitivities:
         """The derivatives of the outputs by the parameters, (K, d)."""
         by_state, by_parameter = self.equations.output_slopes(t, u, z[:, 0], self.p)
         return np.asarray(by_state @ (z[:, 1:] / self.scale) + by_parameter)
-
-    def slope(self, t: float, u: Array, z: Array) -> Array:
-        """Return the derivatives (S, S) of dx / dt by x."""
-        return self.equations.rate_slopes(t, u, z[:, 0], self.p)[0]
 
 
 Motion = Values | Sensitivities
@@ -155,6 +147,8 @@ def stiff(course: Course, motion: Motion, method: str, tolerance: float) -> Path
         j = min(max(int(np.searchsorted(course.t, t, "right")) - 1, j), end - 1)
         return input_at(course, j, (t - course.t[j]) / (course.t[j + 1] - course.t[j]))
 
+    p = motion.p if motion.p.ndim == 1 else motion.p[:, 0]
+
     def span(z: Array, start: int, end: int) -> Array:
         t, shape = course.t[start : end + 1], z.shape
         states = np.full((t.size, *shape), np.nan)
@@ -171,7 +165,8 @@ def stiff(course: Course, motion: Motion, method: str, tolerance: float) -> Path
 
         def slope(now: float, flat: Array) -> Array:
             # Without second derivatives of the rates, which Newton's iterations of a step need not.
-            by_state = motion.slope(now, at(now, start, end), flat.reshape(shape))
+            u, x = at(now, start, end), flat.reshape(shape)[:, 0]
+            by_state = motion.equations.rate_slopes(now, u, x, p)[0]
             return np.asarray(np.kron(by_state, np.eye(shape[1])), dtype=float)
 
         motion.rates(t[0], at(t[0], start, end), z)  # raises errors of the function
