@@ -8,6 +8,7 @@ python -m experiments.identify -m experiment=paper_fig6    # the paper's compari
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 if not __package__:  # as python experiments/identify.py, like python -m experiments.identify
@@ -64,8 +65,11 @@ def identify(cfg: DictConfig) -> float | None:
     experiment = build(cfg)
     if not is_job:
         announce(experiment, cfg.dataset)
+    folder = Path(hydra.runtime.output_dir) if hydra.job.chdir else None
+    if folder is not None:
+        experiment = replace(experiment, root=experiment.root.absolute())
     plan = [request_of(experiment, cfg)]
-    runs = run(plan, settings, here=True, fresh=cfg.fresh, tracking=cfg.tracking)
+    runs = run(plan, settings, here=True, folder=folder, fresh=cfg.fresh, tracking=cfg.tracking)
     (state,) = runs.states
     if state.line:
         print(state.line, flush=True)

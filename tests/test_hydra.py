@@ -106,7 +106,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a list of bounds": (["space.B=[0,5]"], 2, r"space.B.low=0 space.B.high=1"),
     "a setting": (["-m", "dataset.n=40,50"], 0, r"n=40 +\w+ +1 (.|\n)*n=50 +\w+ +1 "),
     "a root of a job": (["-m", "root=x/${hydra:job.num}"], 2, "root: is .*; leave out the job"),
-    "chdir": (["hydra.job.chdir=true"], 2, "hydra.job.chdir=true: .* remove it"),
+    "chdir, pool": (["-m", "hydra.job.chdir=true"], 2, "hydra.job.chdir=true: .*=basic, or"),
     "workers of a sweep": (["-m", "sweep.workers=1,2"], 2, "sweep: holds for the whole sweep"),
     "a sweep without -m": (["sweep.workers=2"], 2, "sweep.workers=2: is for a sweep, -m"),
     "two modes": (["-m", "--cfg", "job"], 2, "Only one of --run, --multirun, --cfg"),
@@ -133,7 +133,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 run: 1 ran"),
 }  # fmt: skip
 QUICK = (
-    "several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir",
+    "several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir, pool",
     "workers of a sweep", "a sweep without -m", "two modes", "an empty batch",
 )  # fmt: skip
 
@@ -171,6 +171,25 @@ def test_seed_and_workers_may_be_variables(typed: Typed, monkeypatch: pytest.Mon
     ended = typed("-m", "seed=${oc.env:TASK}", "sweep.workers=${oc.env:TASK}")
     assert ended.code == 0, ended.err
     assert load_runs(ended.root).runs["seed"].tolist() == [2]
+
+
+@pytest.mark.parametrize("how", [(), ("workers=2",), ("-m", "hydra/launcher=basic")], ids=str)
+def test_a_model_works_in_the_folder_of_its_job_if_hydra_changes_it(
+    typed: Typed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, how: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(
+        'def curve(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":\n'
+        "    open('seen.txt', 'w').close()\n"
+        "    return D * C * B * (alpha + Sx) + Sy\n"
+    )
+    paths = ("model=function", "model.path=mine.py", "root=here", "hydra.sweep.subdir=0")
+    ended = typed(*paths, "hydra.job.chdir=true", *how)
+    assert ended.code == 0, ended.err
+    assert Path.cwd() == tmp_path
+    assert len(list(Path("here").glob("*/*/*/**/seen.txt"))) == 1
+    assert "done before" in typed(*paths, *how).out
+    assert len(load_runs("here").runs) == 1
 
 
 def test_values_of_hydra_are_those_of_the_job(typed: Typed) -> None:

@@ -89,11 +89,6 @@ def job_config(config: DictConfig, node: HydraConf) -> DictConfig:
     folder. Raises ConfigError if `method` is the name of another option, and if a problem is chosen
     with another dataset than its own. A problem with other settings has no recorded optimum.
     """
-    if node.job.chdir:
-        raise ConfigError(
-            "hydra.job.chdir=true: would change the meaning of relative paths; remove it, because "
-            "all runs work in the folder of the command"
-        )
     choices = node.runtime.choices
     option = (choices.get("optimizer") or "").rpartition("/")[2] or None
     with open_dict(config):

@@ -9,6 +9,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import chdir
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn
@@ -103,7 +104,13 @@ class Job:
         context = HydraConfig.get()
         alone = context.mode is RunMode.RUN
         try:
-            return self.task(job_config(cfg, context))
+            if context.job.chdir and self.task.__name__ != "identify":
+                raise ConfigError(
+                    "hydra.job.chdir=true: is for experiments.identify; leave it out here, because "
+                    "this command works in the folder in which it starts"
+                )
+            with chdir(context.runtime.cwd):  # in which paths begin; see identify
+                return self.task(job_config(cfg, context))
         except (*BAD_INPUT_ERRORS, OSError, ResumeRefused, EndedError) as error:
             if alone:
                 raise _Refused from error

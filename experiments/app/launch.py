@@ -113,6 +113,11 @@ def launch(
             "hydra/launcher=pool: works only with experiments.identify and experiments.compare; "
             "choose hydra/launcher=basic here"
         )
+    if config.hydra.job.chdir:
+        raise ConfigError(
+            "hydra.job.chdir=true: has no effect on runs of the pool; add hydra/launcher=basic, or "
+            "leave it out"
+        )
     _refuse_arena(config)
     jobs = [_job(number, texts) for number, texts in enumerate(job_overrides, first)]
     if not jobs:

@@ -9,7 +9,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, chdir, nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import attrgetter
@@ -65,6 +65,7 @@ def run(
     settings: SweepConfig,
     *,
     here: bool = False,
+    folder: Path | None = None,
     fresh: bool = False,
     command: str = IDENTIFY,
     overrides: Sequence[str] = (),
@@ -75,10 +76,10 @@ def run(
     A run that is requested twice is executed once, and a run that another process executes is
     waited for. A run that raises, exits, is killed or takes too long does not affect other runs.
     After the first signal the active runs save their progress and stop, and the returned states
-    describe all runs. With `here` the runs are executed in this process. Otherwise, if
-    `settings.workers` is the address of a cluster, the runs are executed there; if the cluster is
-    lost, the states say which runs are to do. `command` begins the command line of a sweep, for its
-    record.
+    describe all runs. With `here` the runs are executed in this process, in the
+    working directory `folder` if it is given. Otherwise, if `settings.workers` is the address of a
+    cluster, the runs are executed there; if the cluster is lost, the states say which runs are to
+    do. `command` begins the command line of a sweep, for its record.
 
     Raises ResumeRefused if stored runs used other code, data or settings. At the end finished runs
     are sent to the tracker of `tracking`, unless a signal stopped the runs.
@@ -101,7 +102,7 @@ def run(
             write_manifest(Path(root), overrides, identities, command)
     try:
         try:
-            _do(unique, settings, at_once, runs.states)
+            _do(unique, settings, at_once, runs.states, folder)
         except KeyboardInterrupt:
             mirror_runs(unique, tracking, interrupted=True)
             raise
@@ -125,7 +126,11 @@ def set_aside_disturbed(plan: Sequence[Request]) -> None:
 
 
 def _do(
-    plan: Sequence[Request], settings: SweepConfig, at_once: int | str, states: list[State]
+    plan: Sequence[Request],
+    settings: SweepConfig,
+    at_once: int | str,
+    states: list[State],
+    folder: Path | None,
 ) -> None:
     """Execute a plan and append the state of each request as soon as it is known."""
     in_process = at_once == HERE
@@ -134,7 +139,9 @@ def _do(
     with tqdm(total=len(plan), desc="runs", smoothing=0.02, disable=quiet) as tqdm_bar:
         bar = Progress(len(plan), at_once, tqdm_bar)
         todo: list[Request] = []
-        executed = _run_here(todo) if in_process else _run_in_workers(todo, settings, at_once)
+        executed = (
+            _run_here(todo, folder) if in_process else _run_in_workers(todo, settings, at_once)
+        )
         for state in chain(_stored_states(plan, todo), executed):
             done = state.status is Status.DONE_BEFORE and bar.is_log
             states.append(replace(state, line="") if done else state)  # for the summary
@@ -195,11 +202,13 @@ def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[Sta
         )
 
 
-def _run_here(plan: Sequence[Request]) -> Iterator[State]:
+def _run_here(plan: Sequence[Request], folder: Path | None) -> Iterator[State]:
     """Execute the runs in this process, each with a progress bar, and yield their states."""
     for request in plan:
         experiment = request.experiment or experiment_of(request.setting)
-        yield executed_state(request, execution_of(experiment))
+        with nullcontext() if folder is None else chdir(folder):
+            execution = execution_of(experiment)
+        yield executed_state(request, execution)
 
 
 def _workers(

@@ -155,12 +155,17 @@ class FmuModel(Remade, ExternalModel):
         return _by_name(self.columns)
 
     @cached_property
+    def _place(self) -> Path:
+        """Absolute path, because runs may work in another folder."""
+        return Path(self.path).absolute()
+
+    @cached_property
     def _description(self) -> Any:
         """FMPy's description of the FMU: names, units, interfaces."""
         check_regular(self.path)
         fmpy = _fmpy()
         try:
-            platforms = fmpy.supported_platforms(self.path)
+            platforms = fmpy.supported_platforms(self._place)
             description = fmpy.read_model_description(self.path)
         except Exception as error:
             reason = " ".join(str(error).split())
@@ -294,13 +299,13 @@ class FmuModel(Remade, ExternalModel):
 
     @cached_property
     def _simulation(self) -> _Simulation:
-        return _Simulation(self.path, self._description, self.interface or self._interfaces[0])
+        return _Simulation(self._place, self._description, self.interface or self._interfaces[0])
 
 
 class _Simulation:
     """An unzipped FMU and its instance; the folder is removed with the last reference."""
 
-    def __init__(self, path: str, description: Any, interface: str) -> None:
+    def __init__(self, path: Path, description: Any, interface: str) -> None:
         self.folder: str = tempfile.mkdtemp(prefix="miho-")
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
         self.interface, self._path, self._description = interface, path, description
