@@ -193,10 +193,12 @@ def test_a_model_works_in_the_folder_of_its_job_if_hydra_changes_it(
 
 
 def test_values_of_hydra_are_those_of_the_job(typed: Typed) -> None:
-    name = "method=${hydra:runtime.choices.optimizer}_${hydra:job.num}"
-    ended = typed("-m", "optimizer=random,pso_100", name, tiny=False)
-    assert ended.code == 0, ended.err
-    assert sorted(load_runs(ended.root).runs["optimizer"]) == ["pso_100_1", "random_0"]
+    for name in ("", "_${hydra:job.num}"):
+        method = "method=${hydra:runtime.choices.optimizer}" + name
+        ended = typed("-m", "optimizer=random,pso_100", method, tiny=False)
+        assert ended.code == 0, ended.err
+    names = ["pso_100", "pso_100_1", "random", "random_0"]
+    assert sorted(load_runs(ended.root).runs["optimizer"]) == names
 
 
 def test_each_job_of_a_sweep_leaves_hydras_record(typed: Typed, tmp_path: Path) -> None:
