@@ -162,6 +162,14 @@ def test_fig6_of_disturbed_runs_is_whole_and_says_whose_seconds_it_shows() -> No
     assert at.max() <= of_miho["cpu_seconds"].max() < of_miho["seconds"].max()
 
 
+def test_fig6_of_a_method_without_undisturbed_runs_is_drawn_over_evaluations() -> None:
+    runs, curves = like_fig6(3)
+    runs = runs[(runs["optimizer"] != "random") | (runs["seed"] == 2)]
+    figure = fig6(runs.assign(timing_valid=runs["seed"] < 2), curves[curves["id"].isin(runs["id"])])
+    names = [{line.get_label() for line in ax.get_lines()} for ax in figure.axes]
+    assert names[1] - names[0] >= {STYLES["random"].name}
+
+
 @pytest.mark.slow
 def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
     figure = fig6(*like_fig6(3))

@@ -231,6 +231,7 @@ def plot_error_over(
     means = summary(on_grid(curves, axis, grid), axis)
     ends = curves.groupby("optimizer")[axis].max()
     looks = styles_of(means["optimizer"]) if styles is None else styles
+    looks = {method: style for method, style in looks.items() if method in ends}
     for order, (method, style) in enumerate(looks.items()):
         rows = means[means["optimizer"] == method]
         at = rows[axis].to_numpy(dtype=float)
