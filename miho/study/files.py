@@ -71,7 +71,7 @@ def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
         raise DamagedRun(f"{error.filename or folder}: {error.strerror}") from None
     except MALFORMED as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
-    if not folder.endswith(f"/{place}"):
+    if not f"/{folder}".endswith(f"/{place}"):
         raise DamagedRun(f"{folder}: contains the run {place}")
     return result, files
 

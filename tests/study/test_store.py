@@ -82,6 +82,14 @@ def test_a_creeping_curve_is_stored_to_its_resolution(tmp_path: Path) -> None:
         assert true <= stored <= 1.0101 * true + 1
 
 
+def test_a_root_may_be_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = filled(tmp_path, seeds=1).folder(identity(0))
+    monkeypatch.chdir(tmp_path)
+    assert read_run(folder.relative_to(tmp_path)).result["id"] == folder.name
+
+
 def test_a_copied_folder_is_not_a_second_run(tmp_path: Path) -> None:
     store = filled(tmp_path, seeds=1)
     folder = store.folder(identity(0))
