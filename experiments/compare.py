@@ -33,6 +33,8 @@ from experiments.app.plan import sweep_settings
 from experiments.app.run_text import print_summary
 from experiments.app.runs import run
 
+CONFIG = "compare"
+"""Configuration of the command."""
 SETTINGS = {
     "problem, or dataset and model": "what the methods are compared on",
     "experiment": "the comparison; experiment --help lists them",
@@ -52,7 +54,7 @@ def compare(cfg: DictConfig) -> None:
             "hydra/launcher: makes no comparison; leave it out, or write python -m "
             "experiments.identify -m experiment=compare and then python -m experiments.figures fig6"
         )
-    words = typed(HydraConfig.get())
+    words = typed(HydraConfig.get(), CONFIG)
     settings = sweep_settings(cfg.sweep)
     plan, note = planned_arena(cfg, list(HydraConfig.get().overrides.task))
     runs = run(
@@ -81,7 +83,7 @@ def draw_sweep(sweep: Sweep) -> int:
 
 def main() -> None:
     """Run the command."""
-    command(compare, config_name="compare", pool=True, afterwards=draw_sweep, settings=SETTINGS)
+    command(compare, config_name=CONFIG, pool=True, afterwards=draw_sweep, settings=SETTINGS)
 
 
 if __name__ == "__main__":

@@ -229,8 +229,10 @@ def test_the_record_of_a_sweep_in_its_root_has_its_own_configuration(
 ) -> None:
     folder = own(tmp_path, "study", "defaults: [config, _self_]\n")
     assert typed(folder, "--config-name=study", "-m").code == 0
-    (words,) = sweep_commands(tmp_path / "runs")
-    assert words[4:6] == [folder, "--config-name=study"]
+    assert typed("--config-name=compare", "-m", "budget.seconds=9").code == 0
+    study, compare = sweep_commands(tmp_path / "runs")
+    assert study[4:6] == [folder, "--config-name=study"]
+    assert compare[4] == "--config-name=compare"
 
 
 @pytest.mark.slow

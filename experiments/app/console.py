@@ -91,11 +91,13 @@ class Job:
         Runs one composed configuration; returns the error if a sweeper minimises it.
     pool
         Whether the pool of workers may run the jobs of a sweep instead of `task`.
+    config_name
+        The file of conf/ that the command composes, unless --config-name names another.
     """
 
-    def __init__(self, task: Task, *, pool: bool = False) -> None:
+    def __init__(self, task: Task, *, pool: bool = False, config_name: str = "config") -> None:
         functools.update_wrapper(self, task)
-        self.task, self.pool = task, pool
+        self.task, self.pool, self.config_name = task, pool, config_name
         self.sweep: Any = None
         """The `experiments.app.launch.Sweep` of the pool, after its start."""
 
@@ -146,7 +148,7 @@ def command(
         The settings of the command and their meanings, for its help.
     """
     schema.register()
-    job = Job(task, pool=pool)
+    job = Job(task, pool=pool, config_name=config_name)
     # With this, Hydra raises its errors, and run_and_exit prints them in one line.
     os.environ["HYDRA_FULL_ERROR"] = "1"
 

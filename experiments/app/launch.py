@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from tqdm import tqdm
 
 from experiments.app.build import Settings, plain
-from experiments.app.compose import CONF, as_typed, job_config
+from experiments.app.compose import as_typed, job_config
 from experiments.app.console import OK, Job
 from experiments.app.explain import ConfigError
 from experiments.app.plan import Request, Trials, requests, sweep_settings
@@ -128,7 +128,7 @@ def launch(
         raise ConfigError(f"-m: has no values to sweep over; give some, such as seed=0,1{within}")
     if task.sweep is None:
         cfg = job_config(_copied(config), config.hydra)
-        task.sweep = Sweep(cfg, typed(config.hydra))
+        task.sweep = Sweep(cfg, typed(config.hydra, task.config_name))
     sweep, checked = task.sweep, sweep_settings(settings)
     if config.hydra.job.env_set and isinstance(checked.workers, str):
         raise ConfigError(
@@ -230,10 +230,11 @@ def _is_of(text: str, keys: Sequence[str]) -> bool:
     return text.lstrip("+~").partition("=")[0].partition(".")[0].partition("/")[0] in keys
 
 
-def typed(node: HydraConf) -> list[str]:
+def typed(node: HydraConf, usual: str) -> list[str]:
     """Own configuration, folders of options and overrides of a command, for its record in the root.
 
-    `node` is Hydra's configuration. Settings that change no result are left out.
+    `node` is Hydra's configuration, and `usual` the name of the command's own. Settings that change
+    no result are left out.
     """
     sources = node.runtime.config_sources
     folders = [Path(source.path) for source in sources if source.provider == "command-line"]
@@ -242,7 +243,7 @@ def typed(node: HydraConf) -> list[str]:
     overrides = [x for x in as_typed(node.overrides.task) if not _is_of(x, ("fresh", "sweep"))]
     of_hydra = [x for x in as_typed(node.overrides.hydra) if x.lstrip("+").startswith(RECORDED)]
     name = str(node.job.config_name)
-    own = [] if (CONF / f"{name}.yaml").is_file() else [f"--config-name={name}"]
+    own = [] if name == usual else [f"--config-name={name}"]
     return [*(f"--config-dir={folder}" for folder in folders), *own, *overrides, *of_hydra]
 
 
