@@ -57,7 +57,7 @@ def identify(cfg: DictConfig) -> float | None:
     hydra = HydraConfig.get()
     is_job = hydra.mode is RunMode.MULTIRUN
     for text in as_typed(hydra.overrides.task):
-        if text.startswith("sweep."):
+        if text.lstrip("+").startswith("sweep."):
             raise ConfigError(
                 f"{text}: is for a sweep, -m, with hydra/launcher=pool; workers=2 makes the "
                 "evaluations of a run in two processes"

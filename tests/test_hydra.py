@@ -109,6 +109,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "chdir, pool": (["-m", "hydra.job.chdir=true"], 2, "hydra.job.chdir=true: .*=basic, or"),
     "workers of a sweep": (["-m", "sweep.workers=1,2"], 2, "sweep: holds for the whole sweep"),
     "a sweep without -m": (["sweep.workers=2"], 2, "sweep.workers=2: is for a sweep, -m"),
+    "+sweep without -m": (["++sweep.workers=2"], 2, r"\+sweep.workers=2: is for a sweep, -m"),
     "two modes": (["-m", "--cfg", "job"], 2, "Only one of --run, --multirun, --cfg"),
     "an empty batch": (["-m", "hydra.sweeper.max_batch_size=0"], 2, "Hydra requires: .* > 0"),
     "--cfg job": (["--cfg", "job"], 0, r"seed: 0\nworkers"),
@@ -134,7 +135,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
 }  # fmt: skip
 QUICK = (
     "several values without -m", "--cfg job", "sweep.subdir", "a root of a job", "chdir, pool",
-    "workers of a sweep", "a sweep without -m", "two modes", "an empty batch",
+    "workers of a sweep", "a sweep without -m", "+sweep without -m", "two modes", "an empty batch",
 )  # fmt: skip
 
 
