@@ -76,10 +76,10 @@ def run(
     A run that is requested twice is executed once, and a run that another process executes is
     waited for. A run that raises, exits, is killed or takes too long does not affect other runs.
     After the first signal the active runs save their progress and stop, and the returned states
-    describe all runs. With `here` the runs are executed in this process, in the
-    working directory `folder` if it is given. Otherwise, if `settings.workers` is the address of a
-    cluster, the runs are executed there; if the cluster is lost, the states say which runs are to
-    do. `command` begins the command line of a sweep, for its record.
+    describe all runs. With `here` the runs are executed in this process, in the working directory
+    `folder` if it is given. Otherwise, if `settings.workers` is the address of a cluster, the runs
+    are executed there; if the cluster is lost, the states say which runs are to do. `command`
+    begins the command line of a sweep, for its record.
 
     Raises ResumeRefused if stored runs used other code, data or settings. At the end finished runs
     are sent to the tracker of `tracking`, unless a signal stopped the runs.
