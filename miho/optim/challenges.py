@@ -113,7 +113,7 @@ def _solution(residuals: Sequence[Array], values: Array, ends: Array) -> tuple[f
     """
     if not all(np.isfinite(each).all() for each in residuals):
         return math.inf, values
-    columns = (np.array(residuals[1:]) - residuals[0]).T / (ends - values)
+    columns = (np.array(residuals)[1:] - residuals[0]).T / (ends - values)
     solution = np.clip(values - np.linalg.lstsq(columns, residuals[0])[0], 0.0, 1.0)
     return float(np.mean((residuals[0] + columns @ (solution - values)) ** 2)), solution
 

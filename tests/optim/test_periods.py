@@ -147,6 +147,21 @@ def test_a_spectrum_finds_the_period_that_a_search_has_missed(formula: Any) -> N
     assert (state.scan.solved, state.scan.residuals) == ([], [])
 
 
+def test_a_spectrum_needs_no_linear_parameter() -> None:
+    y = np.cos(2 * X + 1)
+    box = {"w": (0.1, 6), "p": (0, 6.3)}
+    fit = miho.fit(lambda x, w, p: np.cos(w * x + p), X, y, box, budget=Budget(evaluations=20))
+    oracle = Oracle(fit.problem, Budget())
+    state = MIHOGN().start(oracle, np.random.default_rng(0))
+    state.periods.update(periods(fit.problem))
+    wrong = np.array([[0.7, 0.1]])
+    state.minima = Minima(wrong, np.array([1.0]), np.full((1, 2), 9.0), np.array([True]))
+    state.spent_before = 1000.0
+    starts = spectrum(state, oracle)
+    assert starts is not None
+    assert 0.1 + 5.9 * starts[0, 0] == pytest.approx(2, abs=0.1)
+
+
 def best_of_periodogram(x: Array, y: Array) -> float:
     """Least mean square over sines with 0.6 to 60 periods in the rows."""
     losses = []
