@@ -111,11 +111,13 @@ def _solution(residuals: Sequence[Array], values: Array, ends: Array) -> tuple[f
 
     `residuals` (p + 1, N) are at the `values` (p,), and with one parameter each at its end (p,).
     """
-    if not all(np.isfinite(each).all() for each in residuals):
-        return math.inf, values
-    columns = (np.array(residuals)[1:] - residuals[0]).T / (ends - values)
-    solution = np.clip(values - np.linalg.lstsq(columns, residuals[0])[0], 0.0, 1.0)
-    return float(np.mean((residuals[0] + columns @ (solution - values)) ** 2)), solution
+    with np.errstate(over="ignore", invalid="ignore"):
+        columns = (np.array(residuals)[1:] - residuals[0]).T / (ends - values)
+        if not np.isfinite(columns).all():
+            return math.inf, values
+        solution = np.clip(values - np.linalg.lstsq(columns, residuals[0])[0], 0.0, 1.0)
+        loss = float(np.mean((residuals[0] + columns @ (solution - values)) ** 2))
+    return loss if math.isfinite(loss) else math.inf, solution
 
 
 def _spaced(n: int, state: MIHOGNState) -> Array:

@@ -10,7 +10,7 @@ from experiments.check.families import FAMILIES, drawn
 from miho import MIHOGN, Budget, CurveFit, minimize
 from miho.compiled.gauss_newton_candidates import Minima
 from miho.optim import BudgetExhausted, Outcome
-from miho.optim.challenges import spectrum
+from miho.optim.challenges import _solution, spectrum
 from miho.optim.oracle import Oracle
 from miho.optim.periods import Period, periods_of
 from miho.quantities import Array
@@ -160,6 +160,16 @@ def test_a_spectrum_needs_no_linear_parameter() -> None:
     starts = spectrum(state, oracle)
     assert starts is not None
     assert 0.1 + 5.9 * starts[0, 0] == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e200, 1e308, np.inf, np.nan])
+@pytest.mark.parametrize("linear", [0, 1])
+def test_residuals_of_any_size_have_a_loss(size: float, linear: int) -> None:
+    residuals = list(np.array([[1.0, -1.0], [-1.0, 1.0]]) * size)[: linear + 1]
+    loss, _ = _solution(residuals, np.full(linear, 0.25), np.ones(linear))
+    assert loss >= 0
+    if size == 1:
+        assert loss == pytest.approx(1 - linear)
 
 
 def best_of_periodogram(x: Array, y: Array) -> float:
