@@ -66,8 +66,8 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
 def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     """Test the residuals of an optimum for structure, and prepare the starts of its challenge.
 
-    The first challenge starts at the neighbours of the optimum. If there are other minima, every
-    second one from then on scans each parameter. The others draw some coordinates anew.
+    The first challenge starts at the neighbours of the optimum. If there are other minima, or a
+    period, every second one from then on scans parameters. The others draw some coordinates anew.
     """
     if not state.challenged:
         return
@@ -82,7 +82,7 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     state.near, after = None, state.passed - bool(alike(state.space))
     if after == 0:
         state.near = _neighbours(state, oracle)
-    elif after > 0 and after % 2 and state.minima.loss.size > 1:
+    elif after > 0 and after % 2 and (state.periods or state.minima.loss.size > 1):
         from miho.optim.challenges import scanned, spectrum
 
         state.near = (spectrum if after == 1 and state.periods else scanned)(state, oracle)

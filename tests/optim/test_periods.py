@@ -11,6 +11,7 @@ from miho import MIHOGN, Budget, CurveFit, minimize
 from miho.compiled.gauss_newton_candidates import Minima
 from miho.optim import BudgetExhausted, Outcome
 from miho.optim.challenges import _solution, spectrum
+from miho.optim.credibility import prepare_challenge
 from miho.optim.oracle import Oracle
 from miho.optim.periods import Period, periods_of
 from miho.quantities import Array
@@ -191,3 +192,16 @@ def test_a_claim_on_a_wide_range_of_periods_is_right(instance: int) -> None:
     record = minimize(MIHOGN(), problem, Budget(evaluations=20_000))
     right = record.loss <= 1.002 * best_of_periodogram(x, problem.dataset.columns["y"])
     assert right or record.outcome is not Outcome.CONVERGED
+
+
+def test_a_period_is_scanned_even_if_one_minimum_only_was_found() -> None:
+    problem = problem_of(wave, [1.0, 1.5, 1.7, 2.0])
+    oracle = Oracle(problem, Budget())
+    state = MIHOGN().start(oracle, np.random.default_rng(0))
+    state.periods.update(periods(problem))
+    wrong = np.array([[0.6, 0.1, 0.4, 0.8]])
+    state.minima = Minima(wrong, np.array([2.0]), np.full((1, 4), 9.0), np.array([True]))
+    state.spent_before, state.tested = 1000.0, 2.0
+    state.challenged, state.passed = True, 1
+    prepare_challenge(state, oracle)
+    assert state.near is not None
