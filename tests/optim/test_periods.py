@@ -102,9 +102,9 @@ def test_periods_of_a_fit(model: Any, space: Any, settings: Any, expected: list[
 def test_a_part_of_a_joint_fit_has_a_period(fixed: dict[str, float]) -> None:
     bounds = {name: ends for name, ends in {**FREE, "b": (0.0, 9.0)}.items() if name not in fixed}
     parts = {"wave": (wave, X, Y), "line": (lambda x, b: b * x, X, 3 * X + Y)}
-    for settings in ({}, {"constraints": "c < b"}):
+    for constraints in ((), "c < b"):
         budget = Budget(evaluations=50)
-        fit = miho.fit_joint(parts, bounds, fixed=fixed, budget=budget, **settings)
+        fit = miho.fit_joint(parts, bounds, fixed=fixed, budget=budget, constraints=constraints)
         assert bool(periods(fit.problem)) == (not fixed)
 
 
