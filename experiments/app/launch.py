@@ -199,11 +199,11 @@ def _planned(
     planned: dict[int, Request] = {}
 
     def plan(setting: tuple[str, ...], config: DictConfig, lose: bool) -> None:
-        mine = [job for job in jobs if job.setting == setting]
-        cfg = job_config(_copied(_of_job(mine[0], config)), config.hydra)
+        same = [job for job in jobs if job.setting == setting]
+        cfg = job_config(_copied(_of_job(same[0], config)), config.hydra)
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
         alike: dict[str, dict[int, Settings]] = {}  # by job; ${seed} and ${hydra:...} make groups
-        for job in mine:
+        for job in same:
             cfg.seed = _of_job(job, config).seed
             whole = plain(cfg)
             alike.setdefault(str({**whole, "seed": None}), {})[job.number] = whole

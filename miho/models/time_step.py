@@ -30,10 +30,11 @@ MOST = 1_000_000
 def finer(
     model: Model, measured: Sequence[Array], columns: Sequence[Array]
 ) -> tuple[Sequence[Array], NDArray[np.intp]]:
-    """Columns (M,) of a simulation with steps as short as those of the data, and the rows asked.
+    """Insert rows into the columns (N,) of a simulation, so that its steps are as short as in data.
 
-    Between the rows of the `columns` (N,) there are further rows with the inputs that the model
-    assumes there. With times alone, the motion starts at the first time of `measured` columns.
+    The inserted rows have the inputs that the model assumes between two rows. With times alone, the
+    motion starts at the first time of the `measured` columns. Returns the longer columns (M,) and
+    the positions of the given rows in them (N,).
     """
     from miho.models.trajectory import Trajectory
 

@@ -121,7 +121,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     challenges : int, optional
         Brackets that start near the best optimum and must fail to find a better one before the
         search ends: the first a standard deviation away along each parameter, the others at some of
-        its coordinates, or, if there are several optima, at the lowest points along each parameter.
+        its coordinates, or, if there are several optima, at the lowest points along each parameter
+        or, for a model with a period, along the period.
         If groups of parameters have equal bounds, one more bracket starts with their values
         exchanged. If brackets hardly return to the best optimum, one in three challenges it
         earlier.
