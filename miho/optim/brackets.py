@@ -122,9 +122,9 @@ def draw_starts(
 
     `bracket` counts from 1; the first bracket begins with the common start. `draws` is the
     distribution: "own" is the initial distribution of the space; "scale" is log-uniform in size
-    (see `by_scale`), for ranges that are only an order of magnitude; "uniform" fills the bounds, and
-    its parameters in `periods` are uniform in the number of periods; "thirds" uses each of them in
-    turn; "turns" chooses from TURNS by the number of the bracket.
+    (see `by_scale`), for ranges that are only an order of magnitude; "uniform" fills the bounds,
+    and its parameters in `periods` are uniform in the number of periods; "thirds" uses each of them
+    in turn; "turns" chooses from TURNS by the number of the bracket.
     """
     low, high = space.bounds
     turn, place = divmod(bracket - 1, len(TURNS))

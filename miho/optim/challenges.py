@@ -75,7 +75,7 @@ def spectrum(state: MIHOGNState, oracle: Oracle) -> Array | None:
         line[:, k] = points
         lines.append(np.stack([period.turned(line, turn) for turn in period.turns]))
     x = np.concatenate([line.reshape(-1, best.size) for line in lines])
-    losses = _solve_linear(x, state, oracle)
+    losses = solve_linear(x, state, oracle)
     ends = np.cumsum([line.shape[0] * line.shape[1] for line in lines])[:-1]
     for k, line, values in zip(periods, lines, np.split(losses, ends), strict=True):
         turned = values.reshape(line.shape[:2])
@@ -85,24 +85,29 @@ def spectrum(state: MIHOGNState, oracle: Oracle) -> Array | None:
     return _lowest(x, np.concatenate(lowest))
 
 
-def _solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
+def solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
     """Losses (n,) at points x (n, d) after a solution for their linear parameters, set in x.
 
     Points and residuals that an interrupted scan has evaluated are kept in the state.
     """
-    linear, scan = state.box.linear, state.scan
-    far = np.where(x[:, linear] <= 0.5, 1.0, 0.0)  # wide differences are more accurate
-    for point, ends in zip(x[len(scan.solved) :], far[len(scan.solved) :], strict=True):
-        probes = np.tile(point, (linear.size + 1, 1))
-        probes[np.arange(linear.size) + 1, linear] = ends
+    box, scan, linear = state.box, state.scan, state.box.linear
+    theta, low, width = _thetas(x, state), box.low[linear], (box.high - box.low)[linear]
+    shares = (theta[:, linear] - low) / width  # of the ranges, also on the log scale
+    far = np.where(shares <= 0.5, 1.0, 0.0)  # wide differences are more accurate
+    for k in range(len(scan.solved), len(x)):
+        probes = np.tile(x[k], (linear.size + 1, 1))
+        probes[np.arange(linear.size) + 1, linear] = far[k]
         thetas = _thetas(probes, state)
         while len(scan.residuals) < len(thetas):
             scan.residuals.extend(oracle.residual_rows(thetas[len(scan.residuals) :]))
-        scan.solved.append(_solution(scan.residuals, point[linear], ends))
+        scan.solved.append(_solution(scan.residuals, shares[k], far[k]))
         scan.residuals.clear()
     losses = np.array([loss for loss, _ in scan.solved])
-    x[:, linear] = np.reshape([solution for _, solution in scan.solved], far.shape)
+    solved = np.reshape([solution for _, solution in scan.solved], far.shape)
     scan.solved.clear()
+    theta[:, linear] = low + width * solved
+    coordinates = (state.space.encode(theta) - box.origin) / box.width
+    x[:, linear] = np.clip(coordinates, 0.0, 1.0)[:, linear]
     return losses
 
 

@@ -1,5 +1,6 @@
 """Searches for a period: draws and scans that are uniform in the number of periods."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,8 @@ import miho
 from experiments.check.families import FAMILIES, drawn
 from miho import MIHOGN, Budget, CurveFit, minimize
 from miho.compiled.gauss_newton_candidates import Minima
-from miho.optim import BudgetExhausted, Outcome
-from miho.optim.challenges import _solution, spectrum
+from miho.optim import BudgetExhausted, Outcome, Space
+from miho.optim.challenges import _solution, solve_linear, spectrum
 from miho.optim.credibility import prepare_challenge
 from miho.optim.oracle import Oracle
 from miho.optim.periods import Period, periods_of
@@ -171,6 +172,22 @@ def test_residuals_of_any_size_have_a_loss(size: float, linear: int) -> None:
     assert loss >= 0
     if size == 1:
         assert loss == pytest.approx(1 - linear)
+
+
+def test_a_scan_solves_for_a_parameter_on_the_log_scale() -> None:
+    linear = problem_of(wave, [1.0, 1.5, 1.7, 2.0], noise=0.1)
+    c, a, *others = linear.space.parameters
+    space = Space((c, replace(a, low=1e-3, scale="log"), *others))
+    problem = CurveFit(linear.model, linear.dataset, space, compiled=True)
+    assert "a" in problem.linear
+    oracle = Oracle(problem, Budget())
+    state = MIHOGN().start(oracle, np.random.default_rng(0))
+    truth = space.encode(np.array([[0.0, 0.1, 1.7, 2.0]]))
+    x = (truth - state.box.origin) / state.box.width
+    losses = solve_linear(x, state, oracle)
+    solution = space.decode(state.box.origin + state.box.width * x)
+    assert solution[0, :2] == pytest.approx([1.0, 1.5], abs=0.05)  # 4 standard errors
+    assert losses == pytest.approx(problem.loss(solution))
 
 
 def best_of_periodogram(x: Array, y: Array) -> float:
