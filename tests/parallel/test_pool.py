@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -24,6 +25,17 @@ from miho.parallel.processes import descendants
 from miho.parallel.remote import MOST_SHARED, shared, work
 
 CONTEXT = multiprocessing.get_context("forkserver")
+
+
+@pytest.fixture(autouse=True)
+def _collect_pools() -> Iterator[None]:
+    """Collect each `multiprocessing.Pool` after its test.
+
+    A pool is part of a reference cycle. Python 3.13 warns if its semaphores are collected while the
+    next pool registers semaphores of its own.
+    """
+    yield
+    gc.collect()
 
 
 @contextmanager
