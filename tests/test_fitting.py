@@ -260,7 +260,7 @@ def test_what_takes_the_numbers_away_is_printed_below_the_table() -> None:
         (decay, {"a": (0, 5), "b": (0, 1)}, {}, ["free", "at upper bound"],
          ["b is at its upper bound 1: widen the bounds"]),
         (decay, BOX, {"a": 1.0, "b": 1.0}, ["free", "free"],
-         ["the optimum is in doubt: a single search", "search from more starts"]),
+         ["the optimum is in doubt: a single search", "search from more starting points"]),
         (decay, BOX, {}, ["free", "free"], []),
     ]  # fmt: skip
     for function, box, start, held, caveats in cases:

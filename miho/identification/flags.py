@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from miho.identification.uncertainty import Linearised
     from miho.models.derived import Derived
 
-REMEDY = "search from more starts, or in a narrower or logarithmic box."
+REMEDY = "search from more starting points, within narrower bounds or on a logarithmic scale."
 """Advice on an optimum in doubt, for fits from Python."""
 CORRELATED = 0.9
 """Parameters whose absolute correlation reaches this are hard to distinguish."""

@@ -108,11 +108,10 @@ class ModelComparison:
         """Remarks on the preferred model and its margin, and on limits of the comparison."""
         sentences = [_preferred(self.table), *_by_bic(self.table)]
         for row in self.tests.to_dict("records"):
-            verdict = "is worth" if row["p"] < SIGNIFICANT else "is not shown to be worth"
-            parameters = f"{row['more']} more parameter{'s' * (row['more'] != 1)}"
+            verdict = "fits" if row["p"] < SIGNIFICANT else "does not fit"
             sentences.append(
-                f"{row['larger']}, which contains {row['smaller']}, {verdict} its {parameters}: "
-                f"F({row['more']}, {row['freedom']}) = {row['F']:.3g}, p = {row['p']:.2g}."
+                f"{row['larger']} {verdict} significantly better than {row['smaller']}, which it "
+                f"contains: F({row['more']}, {row['freedom']}) = {row['F']:.3g}, p = {row['p']:.2g}."
             )
         return sentences + self._cautions()
 
