@@ -28,7 +28,7 @@ def main() -> int:
     """Report on the run or the runs in a folder; return 3 if a report failed."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.report",
-        description="Intervals, identifiability and validation of finished runs.",
+        description="Report on finished runs: intervals, evidence for the optimum, checks.",
     )
     parser.add_argument("path", type=root_folder, help="folder of one run, or root of all runs")
     parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="replicates (0)")
@@ -38,24 +38,24 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument(
         "--check", type=float, nargs="?", const=CHECK_SECONDS, metavar="SECONDS",
-        help=f"look for a better optimum from independent starts ({CHECK_SECONDS:g} s)",
+        help=f"search for a better optimum from new starting points ({CHECK_SECONDS:g} s)",
     )  # fmt: skip
     parser.add_argument(
         "--seconds", type=float,
-        help="time limit for steps without an option of this command (the run's "
-        f"budget, {LEAST_SECONDS:g} to {SECONDS:g} s)",
+        help="time limit of steps that no option requests (the run's budget, "
+        f"{LEAST_SECONDS:g} to {SECONDS:g} s)",
     )  # fmt: skip
     parser.add_argument(
         "--next", type=Path, dest="candidates", metavar="CSV",
         help="for one run: candidate rows for the next measurement (docs/next-measurement.md)",
     )  # fmt: skip
-    parser.add_argument("--rows", type=int, help="number of candidates, or --groups, to choose")
+    parser.add_argument("--rows", type=int, help="number of rows, or of groups, to choose")
     parser.add_argument("--goal", help="parameter or derived quantity to narrow (all parameters)")
-    parser.add_argument("--groups", metavar="COLUMN", help="column of rows to measure together")
-    parser.add_argument("--posterior", action="store_true", help="for one run: posterior.nc")
+    parser.add_argument("--groups", metavar="COLUMN", help="column that numbers the groups of rows")
+    parser.add_argument("--posterior", action="store_true", help="for one run: write posterior.nc")
     parser.add_argument("--workers", type=workers, default="1", help="processes for refits (1)")
     parser.add_argument("--level", type=float, default=0.95, help="level of the intervals (0.95)")
-    parser.add_argument("--trust", action="store_true", help="allow models in files to be run")
+    parser.add_argument("--trust", action="store_true", help="run code from the files of models")
     parser.add_argument(
         "--quick", "--no-detail", action="store_true", help="for a root: no intervals, no run pages"
     )

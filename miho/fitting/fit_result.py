@@ -52,9 +52,8 @@ class Fit(Remade):
     """Result of `miho.fit`: the optimum of a problem, its uncertainty and its evidence.
 
     Use it in this order: print it, read `parameters` and `caveats`, then `predict`, `plot` and
-    `report`. Properties are computed at their first use. A fit can be pickled if its model can; it
-    stores its error, and loading evaluates the model: if the error has changed, a line on stderr
-    says so.
+    `report`. Properties are computed at their first use. A fit can be pickled if its model can.
+    Unpickling evaluates the model and reports on stderr if the error has changed.
 
     Parameters
     ----------

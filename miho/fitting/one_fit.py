@@ -49,8 +49,7 @@ def fit(
     """Fit a model to data: a global search within bounds, or one descent from a start.
 
     The search needs no starting values: it descends from many points within the bounds until enough
-    of the descents agree on the best optimum [1]_. With a `start` of every free parameter, there is
-    one descent from it and no search.
+    of the descents agree on the best optimum [1]_. With a `start`, it makes one descent.
 
     Parameters
     ----------
@@ -72,8 +71,8 @@ def fit(
         Standard deviation of the errors of `y`, in the same unit: a number, a value for each row,
         or the name of a column of `x`. By default the residuals estimate it.
     sigma_known : bool, optional
-        Whether `sigma` is absolute. If false, it is known up to a common factor, which the
-        residuals estimate; so is the weight of priors, in turn with the fit.
+        Whether `sigma` is absolute. If false, the residuals estimate a common factor of all
+        values, which also determines the weight of priors.
     missing : {"raise", "drop"}, optional
         Treatment of rows with a missing number (NaN or masked). "drop" omits them and reports their
         number on stderr.
@@ -106,11 +105,11 @@ def fit(
         Workers for expensive models: a number of processes (-1 for one per core), an executor, or
         the address of a cluster. The result does not depend on them.
     evaluation_limit : float, optional
-        Longest time of an evaluation, in seconds; a longer evaluation has no value.
+        Time limit of an evaluation, in seconds; a longer evaluation has no value.
     journal : path, optional
-        File of evaluations. Evaluations longer than about 10 ms are stored when they end. A second
-        call reuses them and repeats only a few, to check that the model is unchanged. Other bounds,
-        priors, sigma and methods may share the file; another model or other data raise an error.
+        File that stores every evaluation longer than about 10 ms. A second call reuses them and
+        repeats only a few, to check that the model is unchanged. Other bounds, priors, sigma and
+        methods may share the file; another model or other data raise an error.
     convention : str, optional
         Sign convention of the data of a tire, ISO-W by default.
     ranges : mapping of str, optional

@@ -79,8 +79,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         Standard deviation of the errors, in the unit of the output: a number or a column of the
         data.
     sigma_known : bool, optional
-        Whether `sigma` is absolute; if false, it is known up to a common factor, which the
-        residuals estimate.
+        Whether `sigma` is absolute. If false, the residuals estimate a common factor.
     prior_scale : float, optional
         Estimate of sigma that weighs the priors, in place of `scale`, if sigma is unknown.
     tied_priors : tuple of Parameter

@@ -108,10 +108,11 @@ class ModelComparison:
         """Remarks on the preferred model and its margin, and on limits of the comparison."""
         sentences = [_preferred(self.table), *_by_bic(self.table)]
         for row in self.tests.to_dict("records"):
-            verdict = "fits" if row["p"] < SIGNIFICANT else "does not fit"
+            fits = "fits" if row["p"] < SIGNIFICANT else "does not fit"
             sentences.append(
-                f"{row['larger']} {verdict} significantly better than {row['smaller']}, which it "
-                f"contains: F({row['more']}, {row['freedom']}) = {row['F']:.3g}, p = {row['p']:.2g}."
+                f"{row['larger']} {fits} significantly better than {row['smaller']}, which it "
+                f"contains: F({row['more']}, {row['freedom']}) = {row['F']:.3g}, "
+                f"p = {row['p']:.2g}."
             )
         return sentences + self._cautions()
 

@@ -138,7 +138,7 @@ def minimize(
     evaluation_limit: float | None = None,
     journal: JournalFile = None,
 ) -> RunRecord:
-    """Minimise the loss of a problem with one method; always returns a record.
+    """Minimise the loss of a problem with one method.
 
     Errors of the model or of the method end up in the record. The first Ctrl-C ends the run after
     the current evaluation, as `Outcome.INTERRUPTED`; the second ends it at once.
@@ -164,7 +164,7 @@ def minimize(
         `concurrent.futures`, a callable like `map`, or the address of a cluster
         (`miho.parallel.pool`). The result does not depend on them, except for `AsynchronousMIHOGN`.
     evaluation_limit : float, optional
-        Longest time of an evaluation, in seconds. A longer one has no value, nor has an evaluation
+        Time limit of an evaluation, in seconds. A longer one has no value, nor has an evaluation
         whose worker dies three times.
     journal : path, optional
         File that stores every evaluation longer than about 10 ms. The same run, called again after
@@ -173,8 +173,8 @@ def minimize(
     Returns
     -------
     RunRecord
-        Best configuration, evaluations used, and how the run ended. A run without workers left has
-        failed, and keeps its best.
+        Best configuration, evaluations used, and how the run ended. If all workers are lost, the
+        run has failed and keeps its best configuration.
 
     Raises
     ------

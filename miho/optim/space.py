@@ -163,8 +163,7 @@ class Space:
         Seed of the common initial configurations. `minimize` sets it from problem and repetition,
         so that all methods start from the same configurations (`initial`).
     radial : RadialMap, optional
-        Map from the shares in a space with constraints to points, for expressions of tied
-        parameters.
+        Map from shares to values of parameters under constraints.
 
     Raises
     ------
