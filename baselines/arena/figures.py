@@ -44,12 +44,7 @@ LOWER, LABEL = 2.4, 0.17
 """Heights [inches] of a panel without labels of methods, and of a label."""
 
 
-def error_curves(
-    runs: pd.DataFrame,
-    curves: pd.DataFrame,
-    *,
-    note: str = "",
-) -> Figure:
+def error_curves(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     """Relative gap to the best known error: a panel per problem, all on one scale.
 
     Lines are medians over repetitions. The methods in `styles.MAIN` are in colour
@@ -137,11 +132,7 @@ def plot_gap(
 
 
 def ecdf_figure(
-    over_evaluations: pd.DataFrame,
-    over_time: pd.DataFrame,
-    clock: Clock,
-    *,
-    note: str = "",
+    over_evaluations: pd.DataFrame, over_time: pd.DataFrame, clock: Clock, *, note: str = ""
 ) -> Figure:
     """Share of all (problem, repetition, target) reached, over evaluations and over time.
 
@@ -161,10 +152,7 @@ def ecdf_figure(
 
 
 def profiles_figure(
-    data_profile: pd.DataFrame,
-    performance_profile: pd.DataFrame,
-    *,
-    note: str = "",
+    data_profile: pd.DataFrame, performance_profile: pd.DataFrame, *, note: str = ""
 ) -> Figure:
     """Performance profile (Dolan and More 2002) and data profile (More and Wild 2009).
 

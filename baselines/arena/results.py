@@ -11,11 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from baselines.arena.figures import ecdf_figure, error_curves, ert_table, profiles_figure
-from baselines.arena.ranking import (
-    area_figure,
-    critical_difference_diagram,
-    speed_up_figure,
-)
+from baselines.arena.ranking import area_figure, critical_difference_diagram, speed_up_figure
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
 from miho.analysis.compare.leaderboard import (
     best_rivals,

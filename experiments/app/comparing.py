@@ -13,12 +13,7 @@ from typing import Any
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from experiments.app.build import (
-    ConfigError,
-    build_optimizer,
-    plain,
-    recorded_optimum,
-)
+from experiments.app.build import ConfigError, build_optimizer, plain, recorded_optimum
 from experiments.app.compose import composed, option_folders
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import parse_overrides, unknown_message

@@ -188,9 +188,7 @@ def _job(number: int, texts: Sequence[str]) -> _Job:
 
 
 def _planned(
-    jobs: Sequence[_Job],
-    composed: Mapping[tuple[str, ...], DictConfig],
-    time_limit: float | None,
+    jobs: Sequence[_Job], composed: Mapping[tuple[str, ...], DictConfig], time_limit: float | None
 ) -> list[Request]:
     """Plan the runs setting by setting; return them in the order of the jobs.
 

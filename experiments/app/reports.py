@@ -22,12 +22,7 @@ from experiments.app.optimum import check_optimum, report_of, save_run
 from experiments.app.progress import at_work
 from miho.analysis.pages.html import PAGE
 from miho.analysis.pages.run import report_folder
-from miho.analysis.pages.run_tables import (
-    error_table,
-    parameter_table,
-    report_text,
-    values_table,
-)
+from miho.analysis.pages.run_tables import error_table, parameter_table, report_text, values_table
 from miho.analysis.pages.sweep import Best, save_sweep_page
 from miho.analysis.pages.sweep_contents import best_runs
 from miho.analysis.pages.sweep_runs import Sweep

@@ -60,10 +60,7 @@ def held(car: DoubleTrack, command: Command, period: float, count: int) -> Calla
 
 def speeds(car: DoubleTrack, quick: bool) -> pd.DataFrame:
     """Simulated seconds per second."""
-    jobs = {
-        "10 ms": held(car, CRUISE, PERIOD, 10),
-        "100 ms": held(car, CRUISE, 10 * PERIOD, 1),
-    }
+    jobs = {"10 ms": held(car, CRUISE, PERIOD, 10), "100 ms": held(car, CRUISE, 10 * PERIOD, 1)}
     # Turns are short, so that other programs do not interrupt all of them.
     took = interleaved(jobs, 50 if quick else 500, 1e-4)
     rows = [

@@ -42,12 +42,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.app.build import (
-    ConfigError,
-    build_optimizer,
-    build_problem,
-    recorded_optimum,
-)
+from experiments.app.build import ConfigError, build_optimizer, build_problem, recorded_optimum
 from experiments.app.comparing import chosen_problems
 from experiments.app.compose import composed, searching
 from experiments.app.console import OK, SOME_FAILED, run_and_exit

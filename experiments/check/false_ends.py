@@ -76,9 +76,7 @@ def table(runs: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
 
 def main() -> None:
     """Draw problems, run the method, print the table."""
-    parser = argparse.ArgumentParser(
-        description=(__doc__ or "").partition("\n\n")[0],
-    )
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--families", default="*", help="names of families, with wildcards")
     parser.add_argument("--instances", type=int, default=8, help="problems per family (8)")
     parser.add_argument("--seeds", type=int, default=1, help="runs per problem (1)")

@@ -138,10 +138,7 @@ def kernel_for(taped: TapedLoss, model: Formulas, thetas: Array, *, name: str) -
 
 
 def taped_loss(
-    model: Formulas,
-    X: Array,
-    y: Array,
-    order: NDArray[np.intp] | Callable[[], NDArray[np.intp]],
+    model: Formulas, X: Array, y: Array, order: NDArray[np.intp] | Callable[[], NDArray[np.intp]]
 ) -> TapedLoss | None:
     """Mean square of a model minus data on the machine, None if it cannot run the model.
 

@@ -129,14 +129,7 @@ def dependent(T: Array) -> Integers:
 
 
 def _minimise_free(
-    R: Array,
-    q: Array,
-    scale: Array,
-    low: Array,
-    high: Array,
-    s: Array,
-    fixed: Mask,
-    stop: bool,
+    R: Array, q: Array, scale: Array, low: Array, high: Array, s: Array, fixed: Mask, stop: bool
 ) -> bool:
     """Move the free parameters to their minimum, and parameters that leave the box to its bounds.
 

@@ -207,9 +207,7 @@ def waterfall_figure(
 
 
 def residual_figure(
-    errors: Column,
-    columns: Sequence[Column],
-    parts: Mapping[str, NDArray[np.bool_]] | None = None,
+    errors: Column, columns: Sequence[Column], parts: Mapping[str, NDArray[np.bool_]] | None = None
 ) -> Figure:
     """Errors (model minus data) over each column, with means of groups of rows.
 

@@ -290,9 +290,5 @@ def _table(
     columns: dict[str, Any] = {}
     for k, name in enumerate(names):
         columns |= {name: values[:, k], f"{name}_error": errors[:, k]}
-    columns |= {
-        "error": np.sqrt(ends.squares / rows),
-        "rows": rows,
-        "converged": ends.converged,
-    }
+    columns |= {"error": np.sqrt(ends.squares / rows), "rows": rows, "converged": ends.converged}
     return pd.DataFrame(columns, index=index)

@@ -21,16 +21,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit, refit
 from miho.models.function_model import FunctionFormula, alike
 from miho.models.model import Model, expensive_leaves
-from miho.optim import (
-    MIHOGN,
-    Budget,
-    Minimum,
-    Optimizer,
-    Oracle,
-    Outcome,
-    RunRecord,
-    minimize,
-)
+from miho.optim import MIHOGN, Budget, Minimum, Optimizer, Oracle, Outcome, RunRecord, minimize
 from miho.optim.trace import in_place
 from miho.optim.usable_values import NOT_FINITE
 from miho.parallel.worth import is_expensive

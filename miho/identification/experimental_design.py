@@ -14,12 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.identification.candidates import (
-    Candidates,
-    candidate_rows,
-    derivatives,
-    group_numbers,
-)
+from miho.identification.candidates import Candidates, candidate_rows, derivatives, group_numbers
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import derived, gradient
 from miho.identification.design_words import advice, assumptions, table_text

@@ -16,12 +16,7 @@ from miho.identification.alternatives import hull, optima_table
 from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.conclusion import Conclusion
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import (
-    delta_method,
-    derived,
-    gradient,
-    interval_of,
-)
+from miho.identification.derived import delta_method, derived, gradient, interval_of
 from miho.identification.flags import REMEDY, spread_is_uneven
 from miho.identification.irreducible import Irreducible, irreducible_of
 from miho.identification.line_wrapping import with_unit
@@ -34,13 +29,7 @@ from miho.identification.stated import (
     reported_values,
 )
 from miho.identification.uncertainty import Linearised
-from miho.identification.validation import (
-    BINS,
-    error_on,
-    levels,
-    residual_trends,
-    root_mean_square,
-)
+from miho.identification.validation import BINS, error_on, levels, residual_trends, root_mean_square
 from miho.models.derived import Derived
 from miho.optim import Descents, Space, in_optimum
 from miho.quantities import Array

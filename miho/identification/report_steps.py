@@ -17,12 +17,7 @@ from miho.identification.conclusion import BOOTSTRAP, CHECK, PROFILE, conclusion
 from miho.identification.curve_fit import CurveFit
 from miho.identification.deadline import Deadline, seconds_of_refit
 from miho.identification.flags import REMEDY
-from miho.identification.profile_likelihood import (
-    SIGNS,
-    Profile,
-    joined,
-    profile_side,
-)
+from miho.identification.profile_likelihood import SIGNS, Profile, joined, profile_side
 from miho.identification.refit import OutOfTimeError, Refit, refit
 from miho.identification.report import Report, rounding_of
 from miho.identification.stated import profiled_parameters, reported_space

@@ -158,11 +158,7 @@ class HickernellYuan(Optimizer):
                 sample.power = (slopes.scale.min() / slopes.scale) ** 0.25
 
     def _search(
-        self,
-        oracle: Oracle,
-        start: Array,
-        iterations: int,
-        record: AbstractContextManager[Descent],
+        self, oracle: Oracle, start: Array, iterations: int, record: AbstractContextManager[Descent]
     ) -> tuple[Lowest, _Slopes]:
         lowest, slopes = Lowest(oracle.residuals, start), _Slopes(oracle)
         with ending_where_unusable(), record as descent:

@@ -38,10 +38,7 @@ EXAMPLE = (
 
 
 def formula_from(
-    text: str,
-    place: str,
-    names: Mapping[str, object],
-    symbol_of: Callable[[str], Symbol],
+    text: str, place: str, names: Mapping[str, object], symbol_of: Callable[[str], Symbol]
 ) -> Symbol:
     """Return the formula of an expression of `names`.
 

@@ -28,12 +28,7 @@ from miho.models.function_calls import (
     tried_rowwise,
 )
 from miho.models.model import DifferencedModel, Model, Wrapper
-from miho.models.symbolic import (
-    NotAFormulaError,
-    Symbol,
-    arguments_of,
-    trace,
-)
+from miho.models.symbolic import NotAFormulaError, Symbol, arguments_of, trace
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
 from miho.validate import is_number, true_or_false

@@ -10,13 +10,7 @@ import numpy as np
 from miho.compiled.phases import CLOSED, FINISH, LEAD, REVIVE, RUNG, SCREEN, UNLIMITED
 from miho.optim.ask_tell import AskTell
 from miho.optim.brackets import Brackets, check_brackets, draw_starts
-from miho.optim.miho_qn_state import (
-    NEAR_LAST,
-    MIHOQNState,
-    at_known,
-    distinct,
-    offsets_from,
-)
+from miho.optim.miho_qn_state import NEAR_LAST, MIHOQNState, at_known, distinct, offsets_from
 from miho.optim.oracle import Oracle
 from miho.optim.quasi_newton import diagonal
 from miho.optim.quasi_newton_candidates import (

@@ -21,13 +21,7 @@ from typing import Any, Generic
 
 from miho.parallel.errors import SPURIOUS_INTERRUPT
 from miho.parallel.processes import end_family
-from miho.parallel.worker_process import (
-    INTERRUPTED,
-    Job,
-    Result,
-    exit_reason,
-    serve,
-)
+from miho.parallel.worker_process import INTERRUPTED, Job, Result, exit_reason, serve
 
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """Environment variables that numerical libraries read when they are loaded."""

@@ -42,10 +42,7 @@ class Sources:
     """
 
     def __init__(
-        self,
-        roots: Mapping[str, Path],
-        excluded: Collection[str] = (),
-        cache: Path | None = None,
+        self, roots: Mapping[str, Path], excluded: Collection[str] = (), cache: Path | None = None
     ) -> None:
         self._roots, self._excluded = dict(roots), tuple(f"{name}." for name in excluded)
         self._modules: dict[str, Module | None] = {}

@@ -61,10 +61,7 @@ def check_optimizer(
 
 
 def run_check(
-    name: str,
-    optimizer: Optimizer,
-    expected_failures: Mapping[str, str],
-    evaluations: int = BUDGET,
+    name: str, optimizer: Optimizer, expected_failures: Mapping[str, str], evaluations: int = BUDGET
 ) -> None:
     """Run one check; it must fail if and only if `expected_failures` has a reason for it.
 

@@ -153,10 +153,7 @@ PAPER_TARGETS = (1000.0, 500.0)
 
 
 def results_table(
-    runs: pd.DataFrame,
-    curves: pd.DataFrame,
-    *,
-    targets: Sequence[float] | None = None,
+    runs: pd.DataFrame, curves: pd.DataFrame, *, targets: Sequence[float] | None = None
 ) -> pd.DataFrame:
     """Table with a row per method, best mean first: final errors and median costs of targets.
 

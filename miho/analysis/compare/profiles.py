@@ -20,11 +20,7 @@ from miho.quantities import Array
 POINTS = 400
 
 
-def ecdf(
-    hits: pd.DataFrame,
-    axis: Axis,
-    grid: Array | None = None,
-) -> pd.DataFrame:
+def ecdf(hits: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.DataFrame:
     """Share of all (problem, seed, factor) reached within each budget.
 
     This is the runtime distribution of COCO (Hansen et al. 2021) over the actual runs, without

@@ -94,12 +94,7 @@ def of_advantage(
 
 
 def of_level(
-    measured: Interval,
-    paper: Printed,
-    repetitions: int,
-    *,
-    falling: bool,
-    at_floor: bool,
+    measured: Interval, paper: Printed, repetitions: int, *, falling: bool, at_floor: bool
 ) -> Verdict:
     """Verdict on "ends at this error", in both directions.
 
@@ -204,8 +199,7 @@ def of_both_axes(
     if seconds.word == evaluations.word or not {seconds.word, evaluations.word} <= definite:
         return seconds, evaluations
     on_both = Verdict(
-        "depends on the axis",
-        f"{seconds.word} in {unit}, {evaluations.word} in evaluations",
+        "depends on the axis", f"{seconds.word} in {unit}, {evaluations.word} in evaluations"
     )
     return on_both, on_both
 

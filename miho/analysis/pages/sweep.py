@@ -18,12 +18,7 @@ from miho.analysis.figures.house import png
 from miho.analysis.figures.paper import plot_error_over
 from miho.analysis.pages.html import PAGE, asset, render
 from miho.analysis.pages.run_tables import values_table
-from miho.analysis.pages.sweep_contents import (
-    Configured,
-    Contents,
-    best_runs,
-    contents,
-)
+from miho.analysis.pages.sweep_contents import Configured, Contents, best_runs, contents
 from miho.analysis.pages.sweep_curves import CHART, Detail, overall_order, problem_curves
 from miho.analysis.pages.sweep_runs import Sweep, environment_table
 from miho.analysis.pages.sweep_tables import (

@@ -16,11 +16,7 @@ TRUTH = MappingProxyType({"B": 18.0, "C": 1.5, "D": 4500.0, "Sx": 0.004, "Sy": 1
 
 
 def tire_outlier_test(
-    n: int = 1000,
-    seed: int = 0,
-    scale: float = 150.0,
-    freedom: float = 2.5,
-    dropped: float = 0.05,
+    n: int = 1000, seed: int = 0, scale: float = 150.0, freedom: float = 2.5, dropped: float = 0.05
 ) -> Dataset:
     """Samples of the lateral force at slip angles uniform within 0.22 rad, with outliers.
 

@@ -67,10 +67,7 @@ class SimplifiedTire(NamedTuple):
 
 
 def simplify(
-    tire: MagicFormula,
-    Fz: ArrayLike,
-    gamma: ArrayLike = 0.0,
-    pressure: ArrayLike | None = None,
+    tire: MagicFormula, Fz: ArrayLike, gamma: ArrayLike = 0.0, pressure: ArrayLike | None = None
 ) -> SimplifiedTire:
     """Return the simple curves of a tire at all combinations of loads, cambers and pressures.
 

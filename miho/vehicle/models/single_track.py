@@ -92,11 +92,7 @@ class SingleTrack:
         return FrontRear(front, np.asarray(np.arctan2(vy - self.lr * yaw_rate, vx)))
 
     def axle_forces(
-        self,
-        ay: ArrayLike,
-        yaw_acceleration: ArrayLike,
-        steering: ArrayLike,
-        bank: ArrayLike = 0.0,
+        self, ay: ArrayLike, yaw_acceleration: ArrayLike, steering: ArrayLike, bank: ArrayLike = 0.0
     ) -> FrontRear:
         """Return the lateral forces of the axles, each in the frame of its wheels.
 
