@@ -27,28 +27,9 @@ if TYPE_CHECKING:
     from miho.vehicle.models import load_tir
 
 __all__ = [
-    "MIHO",
-    "MIHOGN",
-    "MIHOQN",
-    "AskTell",
-    "Budget",
-    "CurveFit",
-    "Dataset",
-    "Fit",
-    "LeastSquaresProblem",
-    "Optimizer",
-    "Oracle",
-    "Parameter",
-    "Part",
-    "Problem",
-    "Space",
-    "Tracker",
-    "compare_models",
-    "fit",
-    "fit_joint",
-    "fit_many",
-    "load_runs",
-    "load_tir",
+    "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset", "Fit",
+    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Part", "Problem", "Space",
+    "Tracker", "compare_models", "fit", "fit_joint", "fit_many", "load_runs", "load_tir",
     "minimize",
 ]  # fmt: skip
 

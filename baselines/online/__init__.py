@@ -18,21 +18,9 @@ if TYPE_CHECKING:
     from baselines.online.windowed_least_squares import WindowedLeastSquares
 
 __all__ = [
-    "Bank",
-    "ChangePointAlarm",
-    "ExtendedKalman",
-    "InteractingModels",
-    "LevelAlarm",
-    "ModeAlarm",
-    "Particles",
-    "RecursiveLeastSquares",
-    "Stream",
-    "UnscentedKalman",
-    "WindowedLeastSquares",
-    "bicycle",
-    "change_point_filter",
-    "longitudinal",
-    "tire",
-]
+    "Bank", "ChangePointAlarm", "ExtendedKalman", "InteractingModels", "LevelAlarm", "ModeAlarm",
+    "Particles", "RecursiveLeastSquares", "Stream", "UnscentedKalman", "WindowedLeastSquares",
+    "bicycle", "change_point_filter", "longitudinal", "tire",
+]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -23,24 +23,10 @@ if TYPE_CHECKING:
     from miho.optim import MIHO, MIHOGN, MIHOQN, RandomSearch
 
 __all__ = [
-    "GBO",
-    "LBFGSB",
-    "MIHO",
-    "MIHOGN",
-    "MIHOQN",
-    "PSO",
-    "ClusterGaussNewton",
-    "DifferentialEvolution",
-    "DualAnnealing",
-    "HickernellYuan",
-    "Hyperband",
-    "LeastSquares",
-    "NelderMead",
-    "RandomSearch",
-    "ScatterSearch",
-    "SuccessiveHalving",
-    "TikTak",
+    "GBO", "LBFGSB", "MIHO", "MIHOGN", "MIHOQN", "PSO", "ClusterGaussNewton",
+    "DifferentialEvolution", "DualAnnealing", "HickernellYuan", "Hyperband", "LeastSquares",
+    "NelderMead", "RandomSearch", "ScatterSearch", "SuccessiveHalving", "TikTak",
     "VariableProjection",
-]
+]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -12,15 +12,9 @@ if TYPE_CHECKING:
     from miho.online.tracker import Tracker
 
 __all__ = [
-    "Alarm",
-    "Mixture",
-    "OnlineMethod",
-    "Running",
-    "Tracker",
-    "TrackerSettings",
-    "TrackerState",
+    "Alarm", "Mixture", "OnlineMethod", "Running", "Tracker", "TrackerSettings", "TrackerState",
     "one_step",
-]
+]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(
     __name__, {"Calibration": "intervals need no scale, and `threshold` sets the alarm's odds"}

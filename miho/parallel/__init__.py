@@ -17,18 +17,8 @@ if TYPE_CHECKING:
     from miho.parallel.rows import Ahead, Evaluated
 
 __all__ = [
-    "Ahead",
-    "Evaluated",
-    "Evaluations",
-    "Journal",
-    "JournalError",
-    "NoWorkersLeft",
-    "Pool",
-    "StaleJournalError",
-    "UncheckedJournalError",
-    "Workers",
-    "calls_of",
-    "open_pool",
-]
+    "Ahead", "Evaluated", "Evaluations", "Journal", "JournalError", "NoWorkersLeft", "Pool",
+    "StaleJournalError", "UncheckedJournalError", "Workers", "calls_of", "open_pool",
+]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -22,15 +22,8 @@ if TYPE_CHECKING:
     from miho.testing.patience import PATIENCE, NoEvaluation
 
 __all__ = [
-    "BUDGET",
-    "CHECKS",
-    "PATIENCE",
-    "ConformanceError",
-    "DecayFit",
-    "NoEvaluation",
-    "check_model",
-    "check_optimizer",
-    "run_check",
-]
+    "BUDGET", "CHECKS", "PATIENCE", "ConformanceError", "DecayFit", "NoEvaluation", "check_model",
+    "check_optimizer", "run_check",
+]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)
