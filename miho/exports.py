@@ -17,8 +17,8 @@ def at_first_use(
     """Return `__getattr__` and `__dir__` (PEP 562) of a package with lazy exports.
 
     The package imports the names in its __init__ under `if TYPE_CHECKING`, where readers, type
-    checkers and `miho.study.closure` find them. The imports are not executed at run time. Modules
-    of the package are available as attributes too.
+    checkers and `experiments.app.closure` find them. The imports are not executed at run time.
+    Modules of the package are available as attributes too.
 
     Parameters
     ----------

@@ -18,11 +18,11 @@ from experiments.app.console import command
 from experiments.app.schema import register
 from experiments.drive import drive
 from experiments.driving.car import PARTS, identified_parts, known_car
+from experiments.driving.outcome import Clearance, Departure, departure
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.models.identified import Identified, Value, parameters_text
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.driver import Driver
-from miho.vehicle.driving.outcome import Clearance, Departure, departure
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.simulation import Drive
 from miho.vehicle.driving.steering_as_printed import INTERVAL, PrintedSteering

@@ -14,13 +14,13 @@ from functools import partial
 from operator import attrgetter
 from pathlib import Path
 
+from experiments.app.cluster_workers import ClusterWorkers
 from experiments.app.explain import ConfigError
 from experiments.app.plan import MODULES, Request, experiment_of
 from experiments.app.schema import SweepConfig
 from experiments.app.working import State, execute, prepare, with_result
 from miho.parallel.cluster import check_address, cluster, dashboard
 from miho.parallel.cluster_process import Placed
-from miho.parallel.cluster_workers import ClusterWorkers
 from miho.parallel.workers import JobOutcome
 from miho.study import Status, Store
 from miho.study.store import RunInUse

@@ -12,9 +12,9 @@ from omegaconf import OmegaConf
 
 from experiments.app.build import rebuild
 from experiments.app.compose import composed
+from experiments.app.generalisation import Generalisation, generalisation, near_peaks
 from experiments.app.schema import register
 from miho.analysis.figures.paper import AxleCurve
-from miho.analysis.generalisation import Generalisation, generalisation, near_peaks
 from miho.data import Dataset
 from miho.quantities import Array
 from miho.study import StoredRun

@@ -11,6 +11,7 @@ from typing import Any
 
 import baselines
 import miho
+from experiments.app.closure import Sources
 from experiments.app.parts import part_nodes
 from experiments.app.safety import find_target
 from miho.data import Dataset
@@ -20,7 +21,6 @@ from miho.models import Model
 from miho.models.joint import parts_of
 from miho.optim import Optimizer
 from miho.study import environment_stamp
-from miho.study.closure import Sources
 from miho.study.identity import sha256
 from miho.study.provenance import command_line
 

@@ -15,6 +15,13 @@ from omegaconf import DictConfig
 
 from experiments.driving.car import known_car
 from experiments.driving.settings import track_and_vehicle
+from experiments.driving.tracked_friction import (
+    PERIOD,
+    FrontAxle,
+    TrackedFriction,
+    axle_use,
+    front_rows,
+)
 from miho.fitting.one_fit import fit
 from miho.identification.report import Report
 from miho.online import TrackerSettings
@@ -30,13 +37,6 @@ from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.simulation import Drive, simulate
 from miho.vehicle.driving.steering_control import SteeringController
 from miho.vehicle.driving.track import Track
-from miho.vehicle.driving.tracked_friction import (
-    PERIOD,
-    FrontAxle,
-    TrackedFriction,
-    axle_use,
-    front_rows,
-)
 from miho.vehicle.driving.velocity_planner import VelocityPlanner
 
 LEARNED_AT = 0.8

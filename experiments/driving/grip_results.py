@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 
 from experiments.driving.falling_grip import FallingGrip
+from experiments.driving.outcome import true_use
+from experiments.driving.tracked_friction import TrackedFriction
 from miho.analysis import save
 from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.tracking import grip_figure
 from miho.vehicle.driving.double_track import FrictionSchedule
-from miho.vehicle.driving.outcome import true_use
 from miho.vehicle.driving.simulation import Drive
-from miho.vehicle.driving.tracked_friction import TrackedFriction
 
 BLIND, TRACKER, ORACLE, CAUTIOUS = (
     "the offline value", "the tracker", "the oracle", "the offline value less 30 %",

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app.build import build_optimizer, build_space, plain
 from experiments.app.compose import composed
 from experiments.app.schema import register
+from experiments.driving.outcome import true_use
 from experiments.driving.settings import driver_of, track_and_vehicle
 from miho.optim import Budget, Optimizer, Space
 from miho.study import single_thread, write_text
@@ -29,7 +30,6 @@ from miho.vehicle.driving.assembly.from_files import Wrong, known_from
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_engine, embedded_plant, embedded_tires
 from miho.vehicle.driving.known_car import KnownCar
-from miho.vehicle.driving.outcome import true_use
 from miho.vehicle.driving.proving_ground import Recording, perform, programme
 from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.sensors import Sensors

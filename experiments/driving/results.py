@@ -12,12 +12,7 @@ from omegaconf import DictConfig
 from experiments.app.build import build_optimizer, method_of
 from experiments.app.origin import regenerates
 from experiments.driving.car import Parts
-from experiments.driving.settings import factors_text
-from miho.analysis import save
-from miho.analysis.figures.driving import fig7, fig8
-from miho.study import write_text
-from miho.vehicle.driving.driver import Driver
-from miho.vehicle.driving.outcome import (
+from experiments.driving.outcome import (
     Clearance,
     Departure,
     departure,
@@ -27,6 +22,11 @@ from miho.vehicle.driving.outcome import (
     plans,
     speed_bands,
 )
+from experiments.driving.settings import factors_text
+from miho.analysis import save
+from miho.analysis.figures.driving import fig7, fig8
+from miho.study import write_text
+from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.simulation import Drive
 from miho.vehicle.driving.track import Track
 

@@ -9,8 +9,8 @@ from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.check.printed_equations import VARIANTS, results, rows_of
 from experiments.driving.car import known_car
+from experiments.driving.outcome import Clearance
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
-from miho.vehicle.driving.outcome import Clearance
 
 register()
 TRUTH = "drive.known=truth"

@@ -36,7 +36,7 @@ SWEEP = ("-m", "optimizer=miho,pso_100,random", "budget.evaluations=3000", "data
 VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 DIGEST = """
 import ast, hashlib, pathlib, runpy
-meaning_of = runpy.run_path("miho/study/meaning.py")["meaning_of"]
+meaning_of = runpy.run_path("experiments/app/meaning.py")["meaning_of"]
 trees = [ast.parse(file.read_bytes()) for file in sorted(pathlib.Path("miho").rglob("*.py"))]
 print(hashlib.sha256("".join(map(meaning_of, trees)).encode()).hexdigest())
 """

@@ -13,8 +13,8 @@ import pytest
 
 pytest.importorskip("distributed", reason="the extra cluster is not installed")
 
+from experiments.app.cluster_workers import ClusterWorkers
 from miho.parallel.cluster import ClusterError, check_address, cluster, is_address, places
-from miho.parallel.cluster_workers import ClusterWorkers
 from tests.faults.commands import alive
 from tests.parallel.dask_commands import DaskCommands, wait_until
 from tests.parallel.dask_jobs import hang, misbehave_there

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from experiments.app.cluster_workers import ClusterWorkers
 from miho.parallel.cluster import ClusterLost
-from miho.parallel.cluster_workers import ClusterWorkers
 
 
 class Future:

@@ -22,7 +22,7 @@ from miho.parallel.workers import JobOutcome, Workers, start_server
 from tests.faults.misbehaviour import misbehave, spoil
 
 if TYPE_CHECKING:
-    from miho.parallel.cluster_workers import ClusterWorkers
+    from experiments.app.cluster_workers import ClusterWorkers
 
 Result = TypeVar("Result")
 WAIT = 120.0

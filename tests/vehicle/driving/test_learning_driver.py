@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.driving.tracked_friction import MEAN, FrontAxle
 from miho.vehicle.driving.double_track import FrictionSchedule
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
@@ -18,7 +19,6 @@ from miho.vehicle.driving.plant import Motion
 from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.simulation import simulate
 from miho.vehicle.driving.track import Track
-from miho.vehicle.driving.tracked_friction import MEAN, FrontAxle
 from tests.vehicle.driving.cars import car
 
 

@@ -9,11 +9,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from experiments.driving.outcome import excess, gap, planned_use, plans, true_use
 from miho.vehicle.driving.driver import Driver, Sighting
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.lines import beside, constant
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
-from miho.vehicle.driving.outcome import excess, gap, planned_use, plans, true_use
 from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.plant import Motion

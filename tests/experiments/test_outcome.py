@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from miho.vehicle.driving.outcome import excess, speed_bands
+from experiments.driving.outcome import excess, speed_bands
 from miho.vehicle.driving.simulation import LOGGED, Drive
 
 N = 400

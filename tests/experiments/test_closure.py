@@ -10,7 +10,7 @@ import pytest
 
 import baselines
 import miho
-from miho.study.closure import Sources
+from experiments.app.closure import Sources
 
 PACKAGES = {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
 RUN = (
@@ -108,7 +108,7 @@ def test_what_was_read_is_kept_and_never_of_another_text(
     assert Sources(roots, cache=cache).digest(PART) == before
     written = cache.read_bytes()
     with monkeypatch.context() as context:
-        context.setattr("miho.study.closure.ast.parse", None)
+        context.setattr("experiments.app.closure.ast.parse", None)
         assert Sources(roots, cache=cache).digest(PART) == before
     times = place.stat()
     with appended(place, "\nCHANGED = 1\n"):

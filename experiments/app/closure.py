@@ -20,9 +20,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from experiments.app.meaning import meaning_of
 from miho.core.tape import c_sources
 from miho.study.files import write_bytes
-from miho.study.meaning import meaning_of
 
 INIT = "__init__.py"
 
