@@ -19,9 +19,10 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from experiments.app.console import LEFT_ROAD, EndedError, command
+from experiments.app.explain import BAD_SETTINGS, as_config_error
 from experiments.driving.car import known_car
 from experiments.driving.results import write_drive
-from experiments.driving.settings import as_config_error, driven, driver_of, track_and_vehicle
+from experiments.driving.settings import driven, driver_of, track_and_vehicle
 
 SETTINGS = {
     "experiment": "ims_obstacle or lvms_laps, the field tests of the paper",
@@ -40,7 +41,7 @@ def drive(cfg: DictConfig) -> None:
     """Write log, figure, table and provenance of one drive to the folder `drive.output`."""
     road, line, vehicle = track_and_vehicle(cfg)
     car, parts = known_car(cfg, vehicle)
-    with as_config_error():
+    with as_config_error("drive", BAD_SETTINGS):
         driver = driver_of(cfg, car, line)
         distance = cfg.drive.distance
         with tqdm(total=distance, desc="drive", unit="m", leave=False, disable=None) as bar:

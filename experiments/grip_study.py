@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from experiments.app.build import ConfigError
 from experiments.app.console import command
+from experiments.app.explain import BAD_SETTINGS, as_config_error
 from experiments.app.origin import regenerates
 from experiments.driving.falling_grip import RESERVE, Constant, FallingGrip, Oracle
 from experiments.driving.grip_results import (
@@ -35,7 +36,6 @@ from experiments.driving.grip_results import (
     row,
     table,
 )
-from experiments.driving.settings import as_config_error
 from miho.analysis.text import csv_text
 from miho.study import write_text
 
@@ -54,7 +54,7 @@ def study(cfg: DictConfig) -> None:
         raise ConfigError(
             f"comparison.repetitions: is {cfg.comparison.repetitions}; expected at least 1"
         )
-    with as_config_error():
+    with as_config_error("drive", BAD_SETTINGS):
         laps = FallingGrip.of(cfg)
     root = Path(cfg.root)
     root.mkdir(parents=True, exist_ok=True)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
+from experiments.app.explain import BAD_SETTINGS, as_config_error, unknown_message
 from experiments.app.explain import ConfigError as ConfigError
-from experiments.app.explain import unknown_message
 from experiments.app.instantiation import MISSING, instantiate, part_of
 from experiments.app.origin import code_of, packages_of
 from experiments.app.parts import model_files, own_files, part_nodes, with_local
@@ -123,7 +123,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
     untried = problem is None
     problem = build_problem(setting, expensive=True) if problem is None else problem
-    try:
+    with as_config_error(kinds=BAD_SETTINGS):
         budget = Budget(**_known(Budget, part_of(setting, "budget"), "budget"))
         config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
         space = with_local(setting, part_of(setting, "space"))
@@ -144,8 +144,6 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
             data=problem.dataset.digest,
             packages=packages_of(optimizer),
         )
-    except (TypeError, ValueError) as error:
-        raise ConfigError(str(error)) from None
     store = Store(root)
     if untried and not (store.has_result(identity) or store.journal(identity).is_file()):
         problem = build_problem(setting, problem.dataset)
@@ -156,13 +154,11 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
 def _means(setting: Mapping[str, Any]) -> tuple[int | str, float | None]:
     """Check and return the workers of a run and the time limit of its evaluations."""
     workers, limit = setting.get("workers", 1), setting.get("evaluation_limit")
-    try:
+    with as_config_error():
         if not is_address(workers):
             number_of(workers)
         if limit is not None:
             positive("evaluation_limit", limit)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
     return workers, limit
 
 
@@ -201,13 +197,11 @@ def build_problem(
     space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
     rho = instantiate(part_of(setting, "loss"), "loss", Loss)
     settings = part_of(setting, "problem")
-    try:
+    with as_config_error(kinds=BAD_SETTINGS):
         constraints = settings["constraints"] or ()
         return problem_of(
             space, rho=rho, label=settings["name"], constraints=constraints, expensive=expensive
         )
-    except (TypeError, ValueError) as error:
-        raise ConfigError(str(error)) from None
 
 
 def _statement(
@@ -256,10 +250,8 @@ def _joint(config: Mapping[str, Any]) -> Joint:
             instantiate(nodes["dataset"], f"{place}.dataset", Dataset),
             settings.get("sigma") if sigma is None else sigma,
         )
-    try:
+    with as_config_error("problem.parts"):
         return Joint(parts, settings["local"], settings.get("sigma_known", True))
-    except ValueError as error:
-        raise ConfigError(f"problem.parts: {error}") from None
 
 
 def _joint_settings(settings: Mapping[str, Any], problem: CurveFit) -> dict[str, Any]:
@@ -291,15 +283,13 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     dataset, problem_of = _statement(config)
     if dataset.digest != stored.result.get("data"):
         raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
-    try:
+    with as_config_error(str(stored.folder), BAD_SETTINGS):
         name, space = config["problem"].get("name"), build_space(config["space"])
         constraints = config["problem"].get("constraints") or ()
         calls = stored.result.get("facts", {}).get("called_as") or ()
         return problem_of(
             space, rho=rho, label=name, constraints=constraints, expensive=bool(calls)
         ).called(calls)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{stored.folder}: {error}") from None
 
 
 def stored_part(stored: StoredRun, key: str) -> Mapping[str, Any]:
@@ -369,10 +359,8 @@ def build_space(node: Mapping[str, Any]) -> Space:
         if missing:
             raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
         _known(ParameterConfig, settings, f"space.{name}")
-    try:
+    with as_config_error("space", BAD_SETTINGS):
         return Space(tuple(Parameter(name, **settings) for name, settings in plain.items()))
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"space: {error}") from None
 
 
 def _known(kind: type, settings: dict[str, Any], key: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import pandas as pd
 from baselines.arena.results import ArenaResults, TooFewError, write_arena
 from experiments.app.build import ConfigError, build_dataset, rebuild
 from experiments.app.configured import as_configured
+from experiments.app.explain import as_config_error
 from experiments.app.front_axle import FrontAxle, facts, verdict
 from experiments.app.options import options_of
 from experiments.app.run_text import table_text
@@ -70,10 +71,8 @@ def draw_arena(root: Path, output: Path, folder: Path | None = None) -> list[Pat
     arena is too small for its tests.
     """
     comparison = read_comparison(root)
-    try:
+    with as_config_error(str(root), TooFewError):
         results = ArenaResults.of(replace(comparison, runs=as_configured(comparison.runs, folder)))
-    except TooFewError as error:
-        raise ConfigError(f"{root}: {error}") from None
     text, paths = write_arena(results, output)
     print(text)
     return paths
@@ -172,10 +171,8 @@ def compared(
     runs = runs[runs["problem"] == (problem or problems[0])]
     if methods is not None:
         present = sorted(map(str, runs["optimizer"].unique()))
-        try:
+        with as_config_error(str(root)):
             runs = runs[runs["optimizer"].isin(chosen(present, methods))]
-        except ValueError as error:
-            raise ConfigError(f"{root}: {error}") from None
     names = named_apart(runs, of_problem=())["optimizer"].unique()
     if len(names) < 2:
         raise ConfigError(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, Override, OverrideType
@@ -20,6 +21,7 @@ from omegaconf.nodes import BooleanNode, FloatNode, IntegerNode
 
 from experiments.app.options import options_of, source
 from experiments.app.schema import RENAMED
+from miho.data import CSVError
 from miho.moved import SETTINGS
 
 EXPECTED: dict[type, str] = {
@@ -36,12 +38,25 @@ EXTRAS = {
     "hydra/hydra_logging": ("colorlog",),
 }
 """Options of Hydra's groups that the plugins of the extra `launchers` provide."""
+Kinds = type[Exception] | tuple[type[Exception], ...]
+BAD_SETTINGS = TypeError, ValueError
 WHOLE = "# @package _global_"
 """First line of options that change the whole configuration, not only the node of their group."""
 
 
 class ConfigError(ValueError):
     """Bad configuration; the message is one line with the key, the fault and the allowed values."""
+
+
+@contextmanager
+def as_config_error(place: str = "", kinds: Kinds = ValueError) -> Iterator[None]:
+    """Convert errors of these kinds to ConfigError, whose message begins with the place, if any."""
+    try:
+        yield
+    except (ConfigError, CSVError):
+        raise
+    except kinds as error:
+        raise ConfigError(f"{place}: {error}" if place else str(error)) from None
 
 
 def unknown_message(key: str, allowed: Iterable[object]) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from experiments.app.explain import ConfigError, unknown_message
+from experiments.app.explain import ConfigError, as_config_error, unknown_message
 from experiments.app.safety import (
     TargetError,
     check_no_secret,
@@ -92,10 +92,8 @@ def _own_class(node: Mapping[str, Any], key: str, kind: type[T]) -> Callable[...
     path, name = node["path"], node.get("_target_")
     if not isinstance(path, str):
         raise ConfigError(f"{key}.path: is {path!r}; expected a file")
-    try:
+    with as_config_error():
         module = executed(Path(path))
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
     make_picklable(Path(path), module)
     members = defined_in(module)
     classes = {name: member for name, member in members.items() if is_final(member, kind)}

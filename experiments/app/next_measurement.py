@@ -12,6 +12,7 @@ from typing import Any
 import pandas as pd
 
 from experiments.app.build import ConfigError, stored_part
+from experiments.app.explain import as_config_error
 from miho.analysis.figures.design import design_figure
 from miho.analysis.figures.house import png
 from miho.analysis.text import csv_text, without_formula
@@ -43,10 +44,8 @@ def advise(report: Report, stored: StoredRun, options: Namespace, folder: Path) 
     """
     path, groups = options.candidates, options.groups
     table, frame = read_candidates(report, stored, path, groups)
-    try:
+    with as_config_error(f"--next {path}"):
         design = optimal_design(report, frame, options.rows, goal=options.goal, groups=groups)
-    except ValueError as error:
-        raise ConfigError(f"--next {path}: {error}") from None
     lines = [table.lines[0], *(table.lines[table.first + row] for row in design.chosen.index)]
     write_text(folder / ROWS, "".join(f"{_without_formulas(line, table)}\n" for line in lines))
     write_text(folder / TABLE, csv_text(design.table))

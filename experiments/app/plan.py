@@ -21,7 +21,7 @@ from experiments.app.build import (
     plain,
     runs_own_code,
 )
-from experiments.app.explain import ConfigError, one_line
+from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error, one_line
 from experiments.app.origin import our_code
 from experiments.app.parts import model_files, own_files
 from experiments.app.schema import SweepConfig
@@ -146,7 +146,8 @@ def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
         workers = int(workers)
         settings = replace(settings, workers=workers)
     if is_address(workers):
-        _check_workers(workers)
+        with as_config_error("sweep.workers", ClusterError):
+            check_address(workers)
     elif isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ConfigError(
             f"sweep.workers: is {workers}; expected at least 1, or an address: {ADDRESSES}"
@@ -156,18 +157,9 @@ def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
     return settings
 
 
-def _check_workers(address: str) -> None:
-    try:
-        check_address(address)
-    except ClusterError as error:
-        raise ConfigError(f"sweep.workers: {error}") from None
-
-
 def _text(setting: Mapping[str, Any]) -> str:
-    try:
+    with as_config_error("configuration", BAD_SETTINGS):
         return json.dumps(setting)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"configuration: {error}") from None
 
 
 @lru_cache(maxsize=32)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from experiments.app.build import ConfigError
+from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error
 from experiments.app.schema import RENAMED, DriveConfig
-from miho.data import CSVError
 from miho.vehicle.driving.centre_line import track_from_csv
 from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.vehicle.driving.embedded import embedded_plant
@@ -63,7 +61,7 @@ def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
                 f"drive.{key}: is {cfg.drive[key]:g}; expected {LEAST_FACTOR:g} to "
                 f"{LARGEST_FACTOR:g}, {meaning}"
             )
-    with as_config_error():
+    with as_config_error("drive", BAD_SETTINGS):
         vehicle = Vehicle.from_settings(_mapping(cfg.drive.vehicle))
         settings = _mapping(cfg.drive.track)
         name, offset = settings.pop("name", None), settings.pop("offset", 0.0)
@@ -138,14 +136,3 @@ def _mapping(node: DictConfig) -> dict[str, Any]:
     if not isinstance(plain, Mapping):
         raise ConfigError(f"{node!r} is not a mapping; give settings by name")
     return {str(key): value for key, value in plain.items()}
-
-
-@contextmanager
-def as_config_error() -> Iterator[None]:
-    """Convert a ValueError of the library about settings to ConfigError."""
-    try:
-        yield
-    except (ConfigError, CSVError):
-        raise
-    except (ValueError, TypeError) as error:
-        raise ConfigError(f"drive: {error}") from None

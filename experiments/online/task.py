@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from baselines.online import Stream
 from experiments.app.build import ConfigError, build_problem
+from experiments.app.explain import as_config_error
 from experiments.app.instantiation import instantiate
 from experiments.online.session import ROWS, STATES, repair, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, Synthetic
@@ -94,18 +95,14 @@ def task_of(cfg: DictConfig) -> Task:
             f"{noise_of_rows(report.at) / report.at.noise:.1f} times the noise",
             file=sys.stderr,
         )
-    try:
+    with as_config_error():
         return Task(problem, report, stated, noise, sources[kind](), None, steps)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
 
 
 def _steps(problem: CurveFit) -> StepRows | None:
     """The steps between rows of a differential equation; None for another model."""
-    try:
+    with as_config_error():
         return StepRows.of_problem(problem) if is_motion(problem) else None
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
 
 
 def _rows(problem: CurveFit, steps: StepRows | None) -> Mapping[str, Array]:
@@ -127,12 +124,9 @@ def _split(problem: CurveFit, clock: str, learn: float, period: float) -> tuple[
             f"online.learn: is {learn:g} s; expected less than the {times.max():g} s of "
             f"{data.name}, and more than 0"
         )
-    try:
-        return replace(problem, dataset=data.select(first)), replace(
-            problem, dataset=data.select(~first)
-        )
-    except ValueError as error:
-        raise ConfigError(f"online.learn: {error}") from None
+    with as_config_error("online.learn"):
+        earlier, later = (replace(problem, dataset=data.select(rows)) for rows in (first, ~first))
+        return earlier, later
 
 
 def method_of(cfg: DictConfig) -> OnlineMethod:
@@ -156,7 +150,7 @@ def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
     earlier = [path for path in (root / STATES, root / ROWS) if path.exists()]
     if cfg.online.resume and root / ROWS not in earlier:
         raise ConfigError(f"online.resume: {root / ROWS} is missing; expected it of a session")
-    try:
+    with as_config_error("online"):
         running = method.start(
             task.problem, task.prior, task.changes, task.input_noise, cfg.online.period
         )
@@ -168,8 +162,6 @@ def begun(cfg: DictConfig, root: Path, task: Task) -> Running:
         for path in earlier:
             path.replace(path.with_stem(f"{path.stem}.earlier"))
         return running
-    except ValueError as error:
-        raise ConfigError(f"online: {error}") from None
 
 
 def _node(cfg: DictConfig, key: str) -> dict[str, Any]:
