@@ -19,7 +19,7 @@ from experiments.app.origin import code_of, packages_of
 from experiments.app.parts import model_files, own_files, part_nodes, with_local
 from experiments.app.safety import check_no_secret, check_root
 from experiments.app.schema import Config, ParameterConfig, ProblemConfig
-from miho.data import Dataset
+from miho import Budget, Dataset, Optimizer, Parameter, Space
 from miho.fitting.joint_problem import SIGMA as DEVIATION
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import CurveFit, Loss, linear_optimum
@@ -27,7 +27,6 @@ from miho.identification.constraints import constrained
 from miho.identification.irreducible import irreducible_of
 from miho.models import Model
 from miho.models.layout import PART
-from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of
 from miho.study import Identity, Store, StoredRun

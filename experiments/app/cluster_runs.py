@@ -22,8 +22,7 @@ from experiments.app.working import State, execute, prepare, with_result
 from miho.parallel.cluster import check_address, cluster, dashboard
 from miho.parallel.cluster_process import Placed
 from miho.parallel.workers import JobOutcome
-from miho.study import Status, Store
-from miho.study.store import RunInUse
+from miho.study import RunInUse, Status, Store
 
 Delivery = tuple[State, Mapping[str, bytes]]
 """The state of a run, and its files if this machine stores them."""

@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from experiments.app.build import Experiment
+from miho import Budget, CurveFit
 from miho.data.preview import preview
-from miho.identification import CurveFit
 from miho.models.function_model import FunctionModel
 from miho.models.model import ExternalModel, expensive_leaves
-from miho.optim import Budget
 from miho.parallel.worth import span
 from miho.study import Store
 

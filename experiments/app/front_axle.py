@@ -18,14 +18,11 @@ from miho.analysis.figures.paper import AxleCurve
 from miho.data import Dataset
 from miho.quantities import Array
 from miho.study import StoredRun
+from miho.vehicle.driving import LoadTransfer, Sensors, Vehicle, embedded_plant
 from miho.vehicle.driving.assembly.bench import loaded_axle
 from miho.vehicle.driving.assembly.from_drives import weave_samples
-from miho.vehicle.driving.embedded import embedded_plant
-from miho.vehicle.driving.load_transfer import LoadTransfer
 from miho.vehicle.driving.loaded_axle import LoadedAxle, transfer_per_force
 from miho.vehicle.driving.proving_ground import perform, weaves
-from miho.vehicle.driving.sensors import Sensors
-from miho.vehicle.driving.vehicle import Vehicle
 
 SLIP = np.linspace(-0.22, 0.22, 881)
 """Slip angles [rad] of the drawn curves, as in the property data."""

@@ -14,12 +14,10 @@ import miho
 from experiments.app.closure import Sources
 from experiments.app.parts import part_nodes
 from experiments.app.safety import find_target
-from miho.data import Dataset
+from miho import CurveFit, Dataset, Optimizer
 from miho.fitting.joint_problem import Joint
-from miho.identification import CurveFit
 from miho.models import Model
 from miho.models.joint import parts_of
-from miho.optim import Optimizer
 from miho.study import environment_stamp
 from miho.study.identity import sha256
 from miho.study.provenance import command_line

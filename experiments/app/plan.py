@@ -25,8 +25,7 @@ from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error, 
 from experiments.app.origin import our_code
 from experiments.app.parts import model_files, own_files
 from experiments.app.schema import SweepConfig
-from miho.data import Dataset
-from miho.identification import CurveFit
+from miho import CurveFit, Dataset
 from miho.parallel.cluster import ADDRESSES, ClusterError, check_address, is_address
 from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Identity

@@ -36,12 +36,11 @@ import miho.vehicle.models
 from baselines.online import Stream
 from experiments.app.explain import ConfigError
 from experiments.app.options import source
-from miho.data import Dataset
+from miho import AskTell, Dataset, Optimizer
 from miho.identification import Loss
 from miho.models import Model
 from miho.moved import new_name
 from miho.online import OnlineMethod
-from miho.optim import AskTell, Optimizer
 from miho.study.redaction import holds_secret, names_secret, redacted
 
 T = TypeVar("T")

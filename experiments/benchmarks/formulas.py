@@ -36,9 +36,8 @@ from miho.models.expression import Expression
 from miho.models.formula_tape import traced_tapes, traced_together
 from miho.quantities import Array
 from miho.vehicle.data import embedded_tire
-from miho.vehicle.models import Pacejka, load_tir
+from miho.vehicle.models import Pacejka, TireFormula, load_tir
 from miho.vehicle.models.lateral_magic_formula import COEFFICIENTS
-from miho.vehicle.models.tire_formula import TireFormula
 
 ROWS = 3000
 REPEATS, ATOM = 40, 1e-3

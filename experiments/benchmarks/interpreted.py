@@ -22,9 +22,7 @@ from experiments.app.build import Experiment, build
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import Measured, benchmark
-from miho import Budget, minimize
-from miho.identification import CurveFit
-from miho.optim import MIHO
+from miho import MIHO, Budget, CurveFit, minimize
 from miho.optim.seeds import stream
 from miho.quantities import Array
 

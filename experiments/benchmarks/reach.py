@@ -64,8 +64,7 @@ from experiments.benchmarks.reach_tables import (
 )
 from miho.analysis.compare.running_time import FACTORS
 from miho.identification import CurveFit
-from miho.optim import Budget, Optimizer, Space, minimize
-from miho.optim.minimize import Outcome
+from miho.optim import Budget, Optimizer, Outcome, Space, minimize
 from miho.study import environment_stamp, single_thread, write_text
 from miho.vehicle.data import DataUnavailableError
 

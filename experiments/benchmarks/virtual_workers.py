@@ -16,8 +16,7 @@ from functools import partial
 from typing import Any, cast
 
 from experiments.benchmarks.sleeping import Lengths, Search, Sleeping, search
-from miho.optim import Budget, Optimizer
-from miho.optim.meter import Clock
+from miho.optim import Budget, Clock, Optimizer
 from miho.parallel import Evaluations, Pool
 from miho.parallel.remote import Answer
 

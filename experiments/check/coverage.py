@@ -40,11 +40,10 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 import miho
-from miho.data import Dataset
+from miho import Dataset, Parameter, Space
 from miho.identification import CurveFit, Report, linearised, make_report
 from miho.identification.refit import refit
 from miho.models import Model
-from miho.optim import Parameter, Space
 from miho.optim.seeds import stream
 from miho.quantities import Array
 from miho.vehicle.models import Pacejka

@@ -31,9 +31,7 @@ from experiments.driving.outcome import Clearance, departure, true_use
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.quantities import g
 from miho.study import write_text
-from miho.vehicle.driving.driver import Driver
-from miho.vehicle.driving.load_transfer import LoadTransfer
-from miho.vehicle.driving.simulation import Drive
+from miho.vehicle.driving import Drive, Driver, LoadTransfer
 from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 
 TESTS = ("ims_obstacle", "lvms_laps")

@@ -21,12 +21,11 @@ from tqdm import tqdm
 
 from experiments.check import arguments
 from experiments.check.coverage import linear_fit
-from miho.data import Dataset
+from miho import Dataset, Parameter, Space
 from miho.identification import CurveFit, linearised
 from miho.identification.flags import spread_is_uneven
 from miho.identification.refit import refit
 from miho.models import FunctionModel
-from miho.optim import Parameter, Space
 from miho.optim.seeds import stream
 from miho.quantities import Array
 

@@ -22,10 +22,9 @@ from miho.models.identified import parameters_text
 from miho.quantities import Array
 from miho.study import write_text
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving import KnownCar, Vehicle
 from miho.vehicle.driving.assembly.bench import TIRES, assembled
 from miho.vehicle.driving.embedded import embedded_engine, embedded_tires
-from miho.vehicle.driving.known_car import KnownCar
-from miho.vehicle.driving.vehicle import Vehicle
 
 PARAMETERS = "parameters"
 """Folder of the parameters files of a drive, below its root."""

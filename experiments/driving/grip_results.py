@@ -14,8 +14,7 @@ from experiments.driving.tracked_friction import TrackedFriction
 from miho.analysis import save
 from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.tracking import grip_figure
-from miho.vehicle.driving.double_track import FrictionSchedule
-from miho.vehicle.driving.simulation import Drive
+from miho.vehicle.driving import Drive, FrictionSchedule
 
 BLIND, TRACKER, ORACLE, CAUTIOUS = (
     "the offline value", "the tracker", "the oracle", "the offline value less 30 %",

@@ -19,6 +19,7 @@ from experiments.driving.settings import driver_of, track_and_vehicle
 from miho.optim import Budget, Optimizer, Space
 from miho.study import single_thread, write_text
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving import Drive, Driver, KnownCar, Sensors, Vehicle, road_of, simulate
 from miho.vehicle.driving.assembly.from_drives import (
     HIGH_OPENINGS,
     LOW_OPENINGS,
@@ -27,14 +28,8 @@ from miho.vehicle.driving.assembly.from_drives import (
     problems_of,
 )
 from miho.vehicle.driving.assembly.from_files import Wrong, known_from
-from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_engine, embedded_plant, embedded_tires
-from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.proving_ground import Recording, perform, programme
-from miho.vehicle.driving.road import road_of
-from miho.vehicle.driving.sensors import Sensors
-from miho.vehicle.driving.simulation import Drive, simulate
-from miho.vehicle.driving.vehicle import Vehicle
 
 LAPS = "laps.json"
 PART = (0.4, 0.95)

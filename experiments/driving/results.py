@@ -26,9 +26,7 @@ from experiments.driving.settings import factors_text
 from miho.analysis import save
 from miho.analysis.figures.driving import fig7, fig8
 from miho.study import write_text
-from miho.vehicle.driving.driver import Driver
-from miho.vehicle.driving.simulation import Drive
-from miho.vehicle.driving.track import Track
+from miho.vehicle.driving import Drive, Driver, Track
 
 
 def write_drive(

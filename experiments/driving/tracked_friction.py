@@ -14,11 +14,8 @@ import numpy as np
 
 from miho.online import Running, TrackerState
 from miho.quantities import Array, g
+from miho.vehicle.driving import Drive, FrictionSource, Motion, Vehicle
 from miho.vehicle.driving.friction import demand
-from miho.vehicle.driving.learning_driver import FrictionSource
-from miho.vehicle.driving.plant import Motion
-from miho.vehicle.driving.simulation import Drive
-from miho.vehicle.driving.vehicle import Vehicle
 
 MEAN = 4
 """Commands whose mean is a row, which is then at 25 Hz; noise of the slip angle averages out."""

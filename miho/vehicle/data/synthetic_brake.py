@@ -12,9 +12,7 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.quantities import Array
 from miho.validate import at_least, positive, whole
-from miho.vehicle.models.brake import Brake
-from miho.vehicle.models.brake_dynamics import BrakeResponse
-from miho.vehicle.models.brake_play import play
+from miho.vehicle.models import Brake, BrakeResponse, play
 
 EMBEDDED_BRAKE = Brake(
     u0=0.065, u1=0.93, P_max=6.0e6, n=1.35, bias=0.57,

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.data.dataset import Dataset
-from miho.data.stacking import stacked
+from miho.data import Dataset, stacked
 from miho.models.trajectory import Trajectory
 from miho.quantities import Array
 from miho.validate import at_least, one_of, positive, whole

@@ -13,8 +13,7 @@ from miho.quantities import Array
 from miho.validate import at_least, whole
 from miho.vehicle.data.axle_samples import axle_samples
 from miho.vehicle.data.driving_log import DrivingLog
-from miho.vehicle.models.single_track import FrontRear, SingleTrack
-from miho.vehicle.models.tire import Pacejka
+from miho.vehicle.models import FrontRear, Pacejka, SingleTrack
 from miho.vehicle.models.vehicle_settings import from_settings
 
 AXLES = MappingProxyType(

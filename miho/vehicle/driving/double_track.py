@@ -32,8 +32,7 @@ from miho.vehicle.driving.plant import Command, Motion, Plant, steps_of
 from miho.vehicle.driving.powertrain import engine_speed
 from miho.vehicle.driving.road import PLANE, Road, place_at, shape_at
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models.brake import Brake
-from miho.vehicle.models.engine_map import EngineMap
+from miho.vehicle.models import Brake, EngineMap
 
 LARGEST_STEP = 1e-3
 """Largest stable step [s], limited by the fastest mode, a wheel that comes to rest."""

@@ -39,8 +39,7 @@ from miho.vehicle.driving.powertrain import (
 )
 from miho.vehicle.driving.road import Road, shape_at
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models.brake import Brake
-from miho.vehicle.models.engine_map import EngineMap
+from miho.vehicle.models import Brake, EngineMap
 
 S, N, CHI, VX, VY, R, AX, AY, DELTA, TORQUE, PRESSURE = range(11)
 WHEELS, KAPPA, TAN_ALPHA, SIZE = 11, 15, 19, 23

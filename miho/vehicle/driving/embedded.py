@@ -14,10 +14,9 @@ from miho.vehicle.driving.compiled_tire import Tires
 from miho.vehicle.driving.double_track import DoubleTrack
 from miho.vehicle.driving.road import PLANE, Road
 from miho.vehicle.driving.vehicle import Vehicle
+from miho.vehicle.models import EngineMap, load_tir
 from miho.vehicle.models.engine import RPM
-from miho.vehicle.models.engine_map import EngineMap
 from miho.vehicle.models.magic_formula import MagicFormula
-from miho.vehicle.models.tir import load_tir
 
 
 def embedded_plant(vehicle: Vehicle, road: Road = PLANE, step: float = 1e-3) -> DoubleTrack:

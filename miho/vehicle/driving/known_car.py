@@ -25,12 +25,8 @@ from miho.vehicle.driving.speed_control import SpeedController, SpeedSettings
 from miho.vehicle.driving.steering_control import AxleSlip, SteeringController
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.driving.velocity_planner import VelocityPlanner
-from miho.vehicle.models.axle import Axle
-from miho.vehicle.models.brake import Brake
-from miho.vehicle.models.engine_map import EngineMap
-from miho.vehicle.models.load_scaling import LoadSensitivity
+from miho.vehicle.models import Axle, Brake, EngineMap, LoadSensitivity, simplify
 from miho.vehicle.models.magic_formula import MagicFormula
-from miho.vehicle.models.simplified_tire import simplify
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,7 @@ import numpy as np
 from miho.quantities import Array
 from miho.vehicle.driving.compiling import part
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models.brake import Brake
-from miho.vehicle.models.engine_map import EngineMap
+from miho.vehicle.models import Brake, EngineMap
 
 CUT = 20.0
 """Range above the largest engine speed over which the limiter closes the throttle [rad/s]."""

@@ -13,9 +13,8 @@ from miho.validate import settings_at_least
 from miho.vehicle.driving.compiling import compiled, record_of
 from miho.vehicle.driving.powertrain import Engine, cell, engine_of
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models.brake import Brake
+from miho.vehicle.models import Brake, EngineMap
 from miho.vehicle.models.engine import RPM
-from miho.vehicle.models.engine_map import EngineMap
 
 
 @dataclass(frozen=True, kw_only=True)

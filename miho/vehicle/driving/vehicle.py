@@ -7,8 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from miho.validate import at_least, is_finite, positive
-from miho.vehicle.models.longitudinal import Longitudinal
-from miho.vehicle.models.single_track import SingleTrack
+from miho.vehicle.models import Longitudinal, SingleTrack
 
 ZERO_ALLOWED = frozenset(
     ["C_d", "C_r", "C_l_front", "C_l_rear", "roll_centre_front", "roll_centre_rear",

@@ -31,8 +31,7 @@ from miho.vehicle.driving.friction import (
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models.brake import Brake
-from miho.vehicle.models.engine_map import EngineMap
+from miho.vehicle.models import Brake, EngineMap
 
 SCAN = 2.0
 """Step of the search for the lateral limit before bisection [m/s]."""

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from miho.models import Model, Trajectory
 from miho.models.layout import MEASURED
-from miho.models.model import Model
-from miho.models.trajectory import Trajectory
 from miho.vehicle.models.single_track import SingleTrack
 from miho.vehicle.models.vehicle_settings import from_settings
 

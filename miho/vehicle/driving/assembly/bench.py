@@ -16,8 +16,7 @@ from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.loaded_axle import LoadedAxle
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models import Axle, Brake
-from miho.vehicle.models.load_scaling import LoadSensitivity, load_sensitivity
+from miho.vehicle.models import Axle, Brake, LoadSensitivity, load_sensitivity
 
 TIRES = ("lf", "rf", "lr", "rr")
 

@@ -22,8 +22,7 @@ from miho.vehicle.data.driving_log import DrivingLog
 from miho.vehicle.data.synthetic_engine import DYNO_TRUSTED
 from miho.vehicle.data.torque_samples import torque_samples
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.models import Pacejka, TorqueCubic
-from miho.vehicle.models.brake_statics import BrakeDeceleration
+from miho.vehicle.models import BrakeDeceleration, Pacejka, TorqueCubic
 from miho.vehicle.models.engine import RPM
 
 Logs = Mapping[str, tuple[DrivingLog, ...]]

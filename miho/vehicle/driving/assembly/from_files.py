@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from miho.models import read_parameters
-from miho.models.identified import Identified
+from miho.models import Identified, read_parameters
 from miho.vehicle.data import dyno_test
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving.assembly.engine import trusted_map
