@@ -16,8 +16,7 @@ from pathlib import Path
 
 from experiments.app.arguments import root_folder
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
-from experiments.diagnosis.machine import Check, Severity, machine_checks
-from experiments.diagnosis.packages import package_checks
+from experiments.diagnosis.machine import Check, Severity, machine_checks, package_checks
 from experiments.diagnosis.results import result_checks
 
 

@@ -18,8 +18,14 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from experiments.app.arguments import chosen_names
-from experiments.app.gallery_fmu import build_fmu, missing_for_fmu
-from experiments.app.gallery_pages import FOLDER, NAMES, index_page, read_example
+from experiments.app.gallery_pages import (
+    FOLDER,
+    NAMES,
+    build_fmu,
+    index_page,
+    missing_for_fmu,
+    read_example,
+)
 
 STYLE = FOLDER / "gallery.mplstyle"
 COLORS = 128

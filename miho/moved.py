@@ -30,7 +30,7 @@ MOVED = {
     "miho.study.scan": "miho.study.index",
     "miho.analysis.figures.arena": "baselines.arena.figures",
     "miho.analysis.figures.ranking": "baselines.arena.ranking",
-    "miho.analysis.figures.readings": "baselines.arena.readings_figure",
+    "miho.analysis.figures.readings": "baselines.arena.readings",
     "miho.data.published_fits": "baselines.problems",
     "miho.models.published": "baselines.problems",
     "miho.data.PublishedFit": "baselines.problems.PublishedFit",

@@ -9,8 +9,7 @@ import pytest
 from filelock import FileLock
 
 from experiments.diagnosis import machine
-from experiments.diagnosis.machine import Check, Severity
-from experiments.diagnosis.packages import package_checks
+from experiments.diagnosis.machine import Check, Severity, package_checks
 from experiments.diagnosis.results import move_aside, result_checks
 from experiments.doctor import diagnose
 from miho import Budget, load_runs, minimize

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from experiments.app.gallery_fmu import missing_for_fmu
-from experiments.app.gallery_pages import FOLDER, NAMES, index_page, read_example
+from experiments.app.gallery_pages import FOLDER, NAMES, index_page, missing_for_fmu, read_example
 from experiments.gallery import run_example
 from tests.printed import check_printed
 

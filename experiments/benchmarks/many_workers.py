@@ -3,11 +3,11 @@
 python -m experiments.benchmarks.many_workers [--check] [--quick] [--output FOLDER]
 
 The methods are real and make all their decisions; workers and their time are virtual
-(`experiments.benchmarks.virtual_workers`). The client's cost of a task is measured first. Seconds
+(`experiments.benchmarks.sleeping`). The client's cost of a task is measured first. Seconds
 count until the loss is within 1 % of the optimum. Evaluations take 1 s on average: equal times,
-times spread log-normally, or the measured times of a simulation
-(`experiments.benchmarks.simulation_times`). With `--check` 1 to 64 real workers sleep as well, in
-smaller searches that end by themselves; their seconds are compared with the virtual seconds.
+times spread log-normally, or the measured times of a simulation. With `--check` 1 to 64 real
+workers sleep as well, in smaller searches that end by themselves; their seconds are compared with
+the virtual seconds.
 """
 
 from __future__ import annotations
@@ -24,9 +24,14 @@ import pandas as pd
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import PROCESSES, started
 from experiments.benchmarks.many_workers_figure import many_workers_figure
-from experiments.benchmarks.simulation_times import simulation_times
-from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
-from experiments.benchmarks.virtual_workers import virtual_search
+from experiments.benchmarks.sleeping import (
+    SIGMA,
+    Lengths,
+    Sleeping,
+    search,
+    simulation_times,
+    virtual_search,
+)
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHO, MIHOGN, AsynchronousMIHOGN, Budget, Optimizer, RandomSearch, minimize
 from miho.parallel import Evaluations

@@ -1,31 +1,52 @@
-"""A model with prescribed evaluation times: a decay that sleeps before each evaluation."""
+"""A model with prescribed evaluation times, and workers that are real or in virtual time.
+
+The model is a decay that sleeps before each evaluation. In virtual time only the seconds of the
+workers are simulated, by discrete events: the client sends tasks one after the other, each of which
+costs it `overhead` seconds, and a worker executes one task at a time, in the order of sending.
+
+`simulation_times` measures seconds to prescribe. The car of `single_track_response` drives the
+steering test, simulated by SciPy's `solve_ivp` with default settings (RK45, adaptive steps). Stiff
+axles need more steps, a sliding car fewer.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import heapq
+import itertools
 import math
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import ndtri
 
+from experiments.app.build import build_problem
+from experiments.app.compose import composed
+from experiments.app.schema import register
+from miho.models import Trajectory
 from miho.optim import (
     Budget,
     BudgetExhausted,
+    Clock,
     LeastSquaresProblem,
     Optimizer,
     Oracle,
     Parameter,
     Space,
 )
-from miho.optim.meter import Clock
 from miho.optim.problem import mean_square
 from miho.optim.seeds import stream
-from miho.parallel import Evaluations
+from miho.parallel import Evaluations, Pool
+from miho.parallel.remote import Answer
 from miho.quantities import Array
+from miho.vehicle.data.synthetic_steering import manoeuvre
 
 SIGMA = 0.7
 """Standard deviation of the natural logarithm of log-normal times."""
@@ -160,3 +181,112 @@ def search(
     evaluations.close()
     oracle.stop()
     return Search(seconds, oracle.evaluations, evaluations.usage.seconds, oracle.best)
+
+
+class VirtualPool:
+    """The part of a pool that `Evaluations` uses, with `size` workers in virtual time."""
+
+    def __init__(self, size: int, overhead: float) -> None:
+        self.size, self.limit = size, None
+        self.now = 0.0
+        self._overhead = overhead
+        self._handed_over = 0.0
+        self._free = [0.0] * size
+        self._slept = 0.0
+        self._numbers = itertools.count()
+        self._ends: list[tuple[float, int, Future[Answer], Answer]] = []
+
+    def sleep(self, seconds: float) -> None:
+        """Add to the virtual seconds of the current evaluation; models call this."""
+        self._slept += seconds
+
+    def share(self, function: Callable[[Any], Any]) -> Callable[[Any], Future[Answer]]:
+        """Return a function that has a worker call `function` with an argument."""
+        return partial(self._call, function)
+
+    def _call(self, function: Callable[[Any], Any], argument: Any) -> Future[Answer]:
+        """Compute the answer at once, and keep it until its virtual time of arrival."""
+        self._slept = 0.0
+        answer = Answer(function(argument), self._slept)
+        self._handed_over = max(self._handed_over, self.now) + self._overhead
+        end = max(self._handed_over, heapq.heappop(self._free)) + self._slept
+        heapq.heappush(self._free, end)
+        future: Future[Answer] = Future()
+        heapq.heappush(self._ends, (end, next(self._numbers), future, answer))
+        return future
+
+    def connected(self) -> bool:
+        """Always true: virtual workers cannot be lost."""
+        return True
+
+    def wait(self, news: threading.Event) -> None:
+        """Advance the virtual time until a call has ended."""
+        while not news.is_set():
+            self.now, _, future, answer = heapq.heappop(self._ends)
+            if future.set_running_or_notify_cancel():
+                future.set_result(answer)
+        news.clear()
+
+    def flush(self) -> None:
+        """Do nothing: no call waits for others."""
+
+
+def virtual_search(
+    optimizer: Optimizer,
+    lengths: Lengths,
+    workers: int,
+    overhead: float,
+    budget: Budget,
+    seed: int = 0,
+) -> Search:
+    """Search with a sleeping model and virtual workers; the seconds of the result are virtual.
+
+    The first evaluation, which a real search makes alone to measure its time, costs the mean.
+    Every evaluation is sent to a worker (`limited`), because an evaluation in this process would
+    take no virtual time.
+    """
+    pool = VirtualPool(workers, overhead)
+    pool.now = lengths.mean
+    evaluations = Evaluations(cast(Pool, pool), limited=True)
+    clock = Clock(lambda: pool.now, lambda: 0.0)
+    problem = Sleeping(lengths, pool.sleep)
+    ended = search(optimizer, problem, evaluations, budget, seed, clock)
+    return Search(ended.seconds + lengths.mean, ended.evaluations, ended.work, ended.loss)
+
+
+DRAWS = 512
+DURATION = 6.0
+"""Seconds of the manoeuvre."""
+TOLERANCE = 1e-6
+
+
+def simulation_times() -> Array:
+    """Seconds (DRAWS,) of simulations with parameters drawn uniformly, the shortest first."""
+    return np.sort([_seconds(simulation) for simulation in simulations(DRAWS)])
+
+
+def simulations(draws: int) -> list[Callable[[], Any]]:
+    """Functions without arguments that simulate and return SciPy's solution."""
+    register()
+    problem = build_problem(composed(["model=single_track_response", "dataset=steering_test"]))
+    model, space = cast(Trajectory, problem.model), problem.space
+    thetas = space.decode(space.sample(draws, np.random.default_rng(0), "uniform"))
+    names = [parameter.name for parameter in space.parameters]
+    return [partial(_simulated, model, dict(zip(names, row, strict=True))) for row in thetas]
+
+
+def _simulated(model: Trajectory, parameters: Mapping[str, float]) -> Any:
+    from scipy.integrate import solve_ivp  # the import takes a second
+
+    def rates(t: float, state: Array) -> tuple[float, ...]:
+        vx, steering = manoeuvre(np.asarray(t), DURATION)
+        motion: tuple[float, ...] = model.rhs(*state, vx, steering, **parameters)
+        return motion
+
+    return solve_ivp(rates, (0, DURATION), np.zeros(2), rtol=TOLERANCE, atol=TOLERANCE)
+
+
+def _seconds(simulation: Callable[[], Any]) -> float:
+    began = time.perf_counter()
+    simulation()
+    return time.perf_counter() - began

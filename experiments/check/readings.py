@@ -23,8 +23,14 @@ from typing import Any
 
 import pandas as pd
 
-from baselines.arena.readings import Reading, frames_of, long_table, reading_claims, short_table
-from baselines.arena.readings_figure import readings_figure
+from baselines.arena.readings import (
+    Reading,
+    frames_of,
+    long_table,
+    reading_claims,
+    readings_figure,
+    short_table,
+)
 from experiments.app.build import ConfigError
 from experiments.app.comparing import chosen_method
 from experiments.app.compose import composed

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.driving.falling_grip import FallingGrip
+from experiments.driving.falling_grip import FallingGrip, TrackedFriction
 from experiments.driving.outcome import true_use
-from experiments.driving.tracked_friction import TrackedFriction
 from miho.analysis import save
 from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.tracking import grip_figure

@@ -10,8 +10,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from baselines.online import Stream
-from experiments.online.live import LiveView
-from experiments.online.session import Session, in_words
+from experiments.online.session import LiveView, Session, in_words
 from experiments.online.stored import identity_of, is_stored, store
 from experiments.online.task import Task, begun, method_of, request_of
 from miho.online import Running

@@ -9,10 +9,10 @@ from baselines.arena.readings import (
     in_seconds,
     long_table,
     reading_claims,
+    readings_figure,
     short_table,
     without_slow_descents,
 )
-from baselines.arena.readings_figure import readings_figure
 from tests.analysis.synthetic import Steps, frames
 
 STORED: dict[str, list[Steps]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.app.generalisation import Generalisation, generalisation, near_peaks
+from experiments.app.front_axle import Generalisation, generalisation, near_peaks
 
 ALPHA = 0.15 * np.sin(np.linspace(0, 40 * np.pi, 4000))
 CURVE = -6000 * np.sin(1.6 * np.arctan(12 * ALPHA))

@@ -6,9 +6,14 @@ from threading import Event
 import numpy as np
 import pytest
 
-from experiments.benchmarks.simulation_times import simulations
-from experiments.benchmarks.sleeping import Decay, Lengths, Sleeping
-from experiments.benchmarks.virtual_workers import VirtualPool, virtual_search
+from experiments.benchmarks.sleeping import (
+    Decay,
+    Lengths,
+    Sleeping,
+    VirtualPool,
+    simulations,
+    virtual_search,
+)
 from miho.optim import MIHO, MIHOGN, Budget, RandomSearch, minimize
 
 EQUAL, SPREAD = Lengths(1.0), Lengths(1.0, 0.7)

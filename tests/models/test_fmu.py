@@ -14,7 +14,7 @@ import pytest
 import miho
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.gallery_fmu import INTERFACES, build_fmu, description, missing_for_fmu
+from experiments.app.gallery_pages import INTERFACES, build_fmu, description, missing_for_fmu
 from experiments.app.schema import register
 from miho.identification import make_report
 from miho.models import FmuModel

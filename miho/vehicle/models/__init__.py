@@ -7,8 +7,7 @@ from miho.exports import at_first_use
 if TYPE_CHECKING:
     from miho.vehicle.models.axle import Axle, central_stiffness, cornering_stiffness
     from miho.vehicle.models.brake import Brake, BrakeCommand
-    from miho.vehicle.models.brake_dynamics import BrakeResponse
-    from miho.vehicle.models.brake_play import BrakePlay, play
+    from miho.vehicle.models.brake_dynamics import BrakePlay, BrakeResponse, play
     from miho.vehicle.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
     from miho.vehicle.models.engine import TorqueCubic, TorqueCurve
     from miho.vehicle.models.engine_map import EngineMap

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.driving.tracked_friction import MEAN, FrontAxle
+from experiments.driving.falling_grip import MEAN, FrontAxle
 from miho.vehicle.driving.double_track import FrictionSchedule
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_plant
