@@ -31,6 +31,7 @@ from experiments.app.console import run_and_exit
 from experiments.app.options import options_of
 from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
+from miho.methods.unit_box import UnitBox
 from miho.optim.seeds import stream
 from miho.quantities import Array
 from miho.study import single_thread
@@ -103,27 +104,20 @@ def starts_of(name: str, starts: int) -> Array:
     return stream("optima", name).random((starts, len(problem_of(name).space)))
 
 
-def thetas_of(problem: CurveFit, points: Array) -> Array:
-    """Parameters (..., d) of points in the unit box, which is linear in search coordinates."""
-    low, high = problem.space.bounds
-    return problem.space.clip(problem.space.decode(low + points * (high - low)))
-
-
 def least_squares_end(name: str, tolerance: float, point: Array) -> tuple[Array, float]:
     """End of least squares from a point (d,), and its error.
 
     The error is NaN if the model fails at the starting point, or its derivatives fail later.
     """
     problem = problem_of(name)
-    low, high = problem.space.bounds
-    log = np.array([parameter.scale == "log" for parameter in problem.space.parameters])
+    box = UnitBox(problem.space)
 
     def residuals(point: Array) -> Array:
-        return problem.residuals(thetas_of(problem, point))
+        return problem.residuals(box.theta(point))
 
     def jacobian(point: Array) -> Array:
-        theta = thetas_of(problem, point)
-        return np.asarray(problem.jacobian(theta) * np.where(log, theta, 1.0) * (high - low))
+        theta = box.theta(point)
+        return np.asarray(problem.jacobian(theta) * box.slope(theta))
 
     with single_thread():
         if not np.isfinite(residuals(point)).all():
@@ -167,7 +161,7 @@ def all_ends(
 
 def error_at(problem: CurveFit, point: Array) -> float:
     """Root of the loss at a point (d,) of the unit box; infinite if the model fails."""
-    loss = float(problem.loss(thetas_of(problem, point)[None])[0])
+    loss = float(problem.loss(UnitBox(problem.space).theta(point)[None])[0])
     return math.sqrt(loss) if math.isfinite(loss) else math.inf
 
 
@@ -196,7 +190,7 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
     return Optimum(
         *shape,
         error=error,
-        theta=thetas_of(problem, points[all_errors.argmin()]),
+        theta=UnitBox(problem.space).theta(points[all_errors.argmin()]),
         starts=starts,
         agreeing=int(np.count_nonzero(errors <= least * (1 + SAME_MINIMUM))),
         failed=int(np.count_nonzero(np.isnan(errors))),

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+
+from experiments.app.run_text import table_text
 
 if TYPE_CHECKING:
     import pytest
 
 ROWS = [f"R{number}" for number in range(1, 36)]
-WIDTHS = {"row": 4, "fault": 30, "goal": 34, "measured": 50, "verdict": 10, "seconds": 7}
+COLUMNS = ["row", "fault", "goal", "measured", "verdict", "seconds"]
 MET, NOT_JUDGED, MISSED, BROKEN, MISSING = "met", "not judged", "MISSED", "BROKEN", "missing"
 
 
@@ -22,7 +22,7 @@ class FaultTable:
 
     def __init__(self) -> None:
         self.outcomes: dict[str, tuple[str, ...]] = {}
-        """Cells of each row in the order of `WIDTHS`."""
+        """Cells of each row in the order of `COLUMNS`."""
         self.interrupted = False
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -52,23 +52,11 @@ class FaultTable:
         """Table of these rows, in order; rows without a test are marked as missing."""
         absent = ("-", "-", "no such test", MISSING, "0.0")
         cells = [self.outcomes.get(row, (row, *absent)) for row in sorted(rows, key=ROWS.index)]
-        return pd.DataFrame(cells, columns=list(WIDTHS))
+        return pd.DataFrame(cells, columns=COLUMNS)
 
 
 def as_text(frame: pd.DataFrame) -> str:
     """Aligned text with wrapped cells, and the number of rows that are met."""
-    lines = [_line(list(WIDTHS)), _line(["-" * width for width in WIDTHS.values()])]
-    for cells in frame.itertuples(index=False):
-        wrapped = [
-            textwrap.wrap(str(cell), width) or [""]
-            for cell, width in zip(cells, WIDTHS.values(), strict=True)
-        ]
-        lines += map(_line, zip_longest(*wrapped, fillvalue=""))
     met, unjudged = (int((frame["verdict"] == verdict).sum()) for verdict in (MET, NOT_JUDGED))
     rest = f", {unjudged} not judged" if unjudged else ""
-    return "\n".join([*lines, f"{met} of {len(frame)} rows met{rest}"])
-
-
-def _line(cells: Sequence[str]) -> str:
-    padded = (f"{cell:<{width}}" for cell, width in zip(cells, WIDTHS.values(), strict=True))
-    return "  ".join(padded).rstrip()
+    return f"{table_text(frame)}\n{met} of {len(frame)} rows met{rest}"

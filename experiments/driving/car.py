@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from experiments.app.build import ConfigError, build, plain
 from experiments.app.compose import composed
+from experiments.app.explain import unknown_message
 from experiments.app.plan import request_of
 from experiments.app.runs import run
 from experiments.app.schema import SweepConfig
@@ -52,9 +53,7 @@ def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
         raise ConfigError(f"drive.known: is {cfg.drive.known!r}; expected identified or truth")
     unknown = sorted(set(cfg.drive.parameters) - set(PARTS))
     if unknown:
-        raise ConfigError(
-            f"drive.parameters.{unknown[0]}: is unknown; allowed are {', '.join(PARTS)}"
-        )
+        raise ConfigError(unknown_message(f"drive.parameters.{unknown[0]}", PARTS))
     if cfg.drive.sensitivity is None and (own := sorted(set(cfg.drive.parameters) & set(TIRES))):
         raise ConfigError(
             f"drive.sensitivity: is null; expected a number with drive.parameters.{own[0]}, since "

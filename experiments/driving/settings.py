@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error
+from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error, unknown_message
 from experiments.app.schema import RENAMED, DriveConfig
 from miho.vehicle.driving.centre_line import track_from_csv
 from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
@@ -45,8 +45,9 @@ def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
     keys = [field.name for field in fields(DriveConfig)]
     for key in cfg.drive:
         if key not in keys:
-            allowed = f"is unknown; allowed are {', '.join(keys)}"
-            raise ConfigError(f"drive.{key!s}: {RENAMED.get(f'drive.{key!s}', allowed)}")
+            name = f"drive.{key!s}"
+            former = f"{name}: {RENAMED[name]}" if name in RENAMED else None
+            raise ConfigError(former or unknown_message(name, keys))
     if not cfg.drive.track or not cfg.drive.vehicle or not cfg.drive.controller:
         raise ConfigError("drive: is incomplete; choose experiment=ims_obstacle or lvms_laps")
     if cfg.drive.figure not in ("fig7", "fig8"):

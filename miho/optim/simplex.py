@@ -80,19 +80,21 @@ class Simplex:
             self._replace(point, loss)
         else:
             first = self.corners[0]
-            self.corners[1:] = first + self._shrink * (self.corners[1:] - first)
+            shrink = 0.5 if first.size == 1 else 1 - 1 / first.size
+            self.corners[1:] = first + shrink * (self.corners[1:] - first)
             self.trial, self.batch = "shrink", self.corners[1:].copy()
 
     def _judge(self, point: Array, loss: float) -> None:
         """Expand, accept or contract the reflection of the worst corner, depending on its loss."""
-        self.reflected, self.reflected_loss = point, loss
+        self.reflected, self.reflected_loss, d = point, loss, point.size
         if loss < self.losses[0]:
-            self._ask("expand", self._middle + self._expand * (self._middle - self.corners[-1]))
+            self._ask("expand", self._middle + (1 + 2 / d) * (self._middle - self.corners[-1]))
         elif loss < self.losses[-2]:
             self._replace(point, loss)
         else:
             outer = point if loss < self.losses[-1] else self.corners[-1]
-            self._ask("contract", self._middle + self._contract * (outer - self._middle))
+            contract = 0.5 if d == 1 else 0.75 - 1 / (2 * d)
+            self._ask("contract", self._middle + contract * (outer - self._middle))
 
     def _reflect(self) -> None:
         """Sort the corners, and request the reflection of the worst corner."""
@@ -110,17 +112,3 @@ class Simplex:
     @property
     def _middle(self) -> Array:
         return np.asarray(self.corners[:-1].mean(axis=0))
-
-    @property
-    def _expand(self) -> float:
-        return 1 + 2 / len(self.corners[0])
-
-    @property
-    def _contract(self) -> float:
-        d = len(self.corners[0])
-        return 0.5 if d == 1 else 0.75 - 1 / (2 * d)
-
-    @property
-    def _shrink(self) -> float:
-        d = len(self.corners[0])
-        return 0.5 if d == 1 else 1 - 1 / d
