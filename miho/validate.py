@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable
 from numbers import Integral, Real
 from typing import TypeGuard
 
@@ -20,7 +20,7 @@ def is_finite(value: object) -> TypeGuard[float]:
     return is_number(value) and math.isfinite(value)
 
 
-def one_of(field: str, value: str, allowed: Sequence[str]) -> None:
+def one_of(field: str, value: str, allowed: Collection[str]) -> None:
     """Raise ValueError unless `value` is one of `allowed`."""
     if value not in allowed:
         raise ValueError(f"{field} is {value!r}; expected one of {', '.join(allowed)}")

@@ -278,7 +278,7 @@ def test_rows_without_a_number_are_refused_or_left_out(
     fit = fitted(line, given, missing="drop")
     assert len(fit.problem.dataset) == 39
     assert "2 of 41 rows are dropped: a number is missing in y" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="missing is 'omit'; choose from raise, drop"):
+    with pytest.raises(ValueError, match="missing is 'omit'; expected one of raise, drop"):
         fitted(line, given, missing="omit")
 
 

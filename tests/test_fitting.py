@@ -736,7 +736,7 @@ def test_sizes_and_signs_that_are_stated_are_taken() -> None:
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0})
     with pytest.raises(ValueError, match="columns differ in length"):
         miho.fit(tire, rows | {"Fy": np.zeros(5)}, "Fy", start={"PHY1": 0.0})
-    with pytest.raises(ValueError, match="convention is 'iso'; choose from iso-w, sae"):
+    with pytest.raises(ValueError, match="convention is 'iso'; expected one of iso-w, sae"):
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, convention="iso")
     with pytest.raises(ValueError, match="convention and ranges: expected for the data of a tire"):
         miho.fit(decay, t, y, BOX, convention="sae")

@@ -16,6 +16,7 @@ from miho.analysis.styles import MethodStyle, styles_of
 from miho.analysis.text import number
 from miho.analysis.tidy import require_columns
 from miho.quantities import Array
+from miho.validate import one_of
 
 ROW = 0.19  # inches per method where a row is one line of 8 pt text
 DARK, LIGHT, GUIDE = "#222222", "#9a9a9a", "#d8d8d8"
@@ -170,9 +171,7 @@ def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str) -> Axes:
         "speed_ups",
     )
     rows = speed_ups[speed_ups["method"] == method].sort_values("ratio", ascending=False)
-    if rows.empty:
-        methods = ", ".join(sorted(speed_ups["method"].unique()))
-        raise ValueError(f"method is {method!r}; expected one of {methods}")
+    one_of("method", method, sorted(speed_ups["method"].unique()))
     method_rows(ax, rows["rival"])
     values = rows[["ratio", "low", "high"]].to_numpy(dtype=float)
     finite = values[np.isfinite(values) & (values > 0)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.validate import whole
+from miho.validate import one_of, whole
 
 FOLDER = Path(__file__).with_name("data")
 
@@ -97,8 +97,7 @@ def published_fit(name: str) -> PublishedFit:
     >>> fit.optimum, len(fit.dataset)
     ((238.94212918, 0.00055015643181), 14)
     """
-    if name not in published_names():
-        raise ValueError(f"name is {name!r}; choose from {', '.join(published_names())}")
+    one_of("name", name, published_names())
     title, *lines = (FOLDER / f"{name}.txt").read_text(encoding="utf-8").splitlines()
     head = [line.split() for line in lines if line[0].isalpha()]
     rows = np.array([line.split() for line in lines[len(head) :]], dtype=float)

@@ -13,6 +13,7 @@ from baselines.problems import nist
 from baselines.problems.records import Form, Inputs, Theta
 from miho.models.symbolic import Symbol, trace
 from miho.models.traced import TracedExpression
+from miho.validate import one_of
 
 
 def bard(inputs: Inputs, b: Theta) -> Any:
@@ -152,8 +153,7 @@ class PublishedModel(TracedExpression):
     output = "-"
 
     def __post_init__(self) -> None:
-        if self.name not in FORMS:
-            raise ValueError(f"name is {self.name!r}; choose from {', '.join(FORMS)}")
+        one_of("name", self.name, FORMS)
 
     @property
     def form(self) -> Form:

@@ -12,7 +12,7 @@ from baselines.problems import cartis_roberts, discretized, more_wild
 from baselines.problems.records import System
 from miho.models.model import Model
 from miho.quantities import Array
-from miho.validate import whole
+from miho.validate import one_of, whole
 
 SYSTEMS: Mapping[str, System] = {
     **more_wild.SYSTEMS, **cartis_roberts.SYSTEMS, **discretized.SYSTEMS
@@ -60,8 +60,7 @@ class ResidualSystem(Model):
     output = "-"
 
     def __post_init__(self) -> None:
-        if self.system not in SYSTEMS:
-            raise ValueError(f"system is {self.system!r}; choose from {', '.join(SYSTEMS)}")
+        one_of("system", self.system, SYSTEMS)
         whole("length", self.length, 1)
         if not _has_length(self.published, self.length):
             lengths = (n for n in range(1, LONGEST + 1) if _has_length(self.published, n))

@@ -15,6 +15,7 @@ import pandas as pd
 from miho.analysis.tidy import CURVE_COLUMNS, require_columns
 from miho.analysis.variants import setting_columns
 from miho.quantities import Array
+from miho.validate import one_of
 
 Axis = Literal["seconds", "cpu_seconds", "evaluations"]
 AXES: tuple[Axis, ...] = get_args(Axis)
@@ -167,7 +168,6 @@ def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.Dat
 
 def positions(curves: pd.DataFrame, axis: Axis) -> Array:
     """The column of the axis (rows,)."""
-    if axis not in AXES:
-        raise ValueError(f"axis is {axis!r}; expected one of {', '.join(AXES)}")
+    one_of("axis", axis, AXES)
     require_columns(curves, [*CURVE_COLUMNS, axis], "curves")
     return curves[axis].to_numpy(dtype=float)

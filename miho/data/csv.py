@@ -15,6 +15,7 @@ from miho.data.dataset import Dataset, file_name
 from miho.data.measurements import Layout
 from miho.data.text_lines import CSVError, lines_of
 from miho.quantities import Array
+from miho.validate import one_of
 
 TIME = re.compile(r"\d:\d\d|\d{4}-\d\d-\d\d")
 """A part of a text that is a time or a date."""
@@ -85,8 +86,7 @@ class TextFormat:
             )
         if self.comment is not None and not (isinstance(self.comment, str) and self.comment):
             raise ValueError(f"comment is {self.comment!r}; give the prefix of such lines")
-        if self.missing not in MISSING:
-            raise ValueError(f"missing is {self.missing!r}; choose from {', '.join(MISSING)}")
+        one_of("missing", self.missing, MISSING)
 
 
 PLAIN = TextFormat()

@@ -14,7 +14,7 @@ from miho.data.dataset import Dataset, number_pair
 from miho.data.preview import Reading
 from miho.quantities import Array
 from miho.units import UNITS, Unit, si
-from miho.validate import whole
+from miho.validate import one_of, whole
 
 Fault = Callable[[str, int | None, str], ValueError]
 """Makes the error about a header and a row of the file, counted from 0 (None: the whole column)."""
@@ -133,8 +133,7 @@ class Layout:
     def __post_init__(self) -> None:
         headers = self.columns if self.headers is None else self.headers
         check_columns(self.columns, self.units, headers, self.flip)
-        if self.convention not in FLIPPED:
-            raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
+        one_of("convention", self.convention, FLIPPED)
         whole("every", self.every, 1)
         # Mappings map existing columns to pairs of bounds.
         for setting in ("ranges", "held_out", "where"):

@@ -16,6 +16,7 @@ from miho.data.dataset import Dataset
 from miho.models.function_model import FunctionModel, plain_of
 from miho.models.model import Model
 from miho.optim import Parameter, Space
+from miho.validate import one_of
 
 if TYPE_CHECKING:
     from miho.fitting.protocols import Signed
@@ -63,8 +64,7 @@ def data_of(
     even if `x` has columns of the same names. `missing` ("raise" or "drop") is the treatment of
     rows with a missing number. `miho.data.measurements.Layout` documents `convention` and `ranges`.
     """
-    if missing not in MISSING:
-        raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
+    one_of("missing", missing, MISSING)
     output = y if isinstance(y, str) else _label(y)
     values = _column_of(x, "y", y)
     model = model_of(model, x, stated)

@@ -26,6 +26,7 @@ from miho.models.layout import PART
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.parallel import Workers
+from miho.validate import one_of
 
 
 class Part(NamedTuple):
@@ -201,8 +202,7 @@ class JointFit(Fit):
         """The fit of the part of this name, with values and uncertainties from the joint fit."""
         parts = parts_of(self.problem.model)
         names = [part.name for part in parts]
-        if name not in names:
-            raise ValueError(f"part is {name!r}; expected one of {', '.join(names)}")
+        one_of("part", name, names)
         part, rows = parts[names.index(name)], self.problem.dataset
         of_part = rows[PART] == names.index(name)
         output = f"output of {name}"

@@ -194,9 +194,9 @@ def test_every_formula_is_used_and_every_problem_has_one() -> None:
 
 
 def test_an_unknown_name_lists_those_that_exist() -> None:
-    with pytest.raises(ValueError, match=r"name is 'misra1'; choose from .*misra1a, misra1b"):
+    with pytest.raises(ValueError, match=r"name is 'misra1'; expected one of .*misra1a, misra1b"):
         load_published("misra1")
-    with pytest.raises(ValueError, match=r"name is 'misra1a'; choose from .*rise"):
+    with pytest.raises(ValueError, match=r"name is 'misra1a'; expected one of .*rise"):
         PublishedModel("misra1a")
 
 

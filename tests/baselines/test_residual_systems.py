@@ -126,7 +126,7 @@ def test_what_a_system_is_fitted_to() -> None:
 
 
 def test_wrong_names_and_lengths_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"system is 'rosen'; choose from .*rosenbrock"):
+    with pytest.raises(ValueError, match=r"system is 'rosen'; expected one of .*rosenbrock"):
         ResidualSystem("rosen", 2)
     with pytest.raises(ValueError, match="length is 0; expected a whole number of at least 1"):
         ResidualSystem("rosenbrock", 0)

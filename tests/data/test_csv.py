@@ -445,7 +445,7 @@ def test_rows_are_held_out(tmp_path: Path) -> None:
         ({"units": ["rad", "N", "N", 1]}, "give a list of names"),
         ({"output": "Mz"}, "output names 'Mz'; columns are alpha, Fy, Fz, gamma; choose one"),
         ({"units": ["rad", "kn", "N", "rad"]}, "did you mean 'kN'"),
-        ({"convention": "ISO"}, "convention is 'ISO'; choose from iso-w, sae, adapted-sae"),
+        ({"convention": "ISO"}, "convention is 'ISO'; expected one of iso-w, sae, adapted-sae"),
         ({"flip": ["Mz"]}, "flip names 'Mz'"),
         ({"ranges": {"SA": [1, 2]}}, "ranges names 'SA'"),
         ({"ranges": {"alpha": [2, 1]}}, r"the range of alpha is \[2, 1\]"),
@@ -492,7 +492,7 @@ def test_rows_without_a_number_are_left_out_and_counted(tmp_path: Path) -> None:
     assert dataset.reading.notes == ("3 rows with a missing number ignored",)
     with pytest.raises(CSVError, match=r":7:5: largest \|F\| is 60 N"):
         load_csv(*arguments, missing="drop", ranges={"F": [1, 50]})
-    with pytest.raises(ValueError, match="missing is 'omit'; choose from raise, drop"):
+    with pytest.raises(ValueError, match="missing is 'omit'; expected one of raise, drop"):
         load_csv(*arguments, missing="omit")
     with pytest.raises(CSVError, match=r":2:3: '' in .* in 2 of 2 rows; correct the cells$"):
         load_csv(str(file(tmp_path, "SA,FY\n1,\n,2")), *arguments[1:], missing="drop")

@@ -11,7 +11,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.quantities import Array
-from miho.validate import at_least, positive, whole
+from miho.validate import at_least, one_of, positive, whole
 from miho.vehicle.models import Brake, BrakeResponse, play
 
 EMBEDDED_BRAKE = Brake(
@@ -99,8 +99,7 @@ def brake_torque_test(
     ValueError
         If a setting is out of its range.
     """
-    if axle not in AXLES:
-        raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
+    one_of("axle", axle, AXLES)
     rng = _rng(f"torque {axle}", seed, steps=steps, samples=samples, noise=noise)
     brake = EMBEDDED_BRAKE
     largest = float(brake.pressure(1.0)[AXLES.index(axle)])

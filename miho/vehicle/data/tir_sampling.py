@@ -20,7 +20,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset, file_name
 from miho.quantities import Array
-from miho.validate import at_least, whole
+from miho.validate import at_least, one_of, whole
 from miho.vehicle.models.magic_formula import MagicFormula
 from miho.vehicle.models.tir import load_tir
 
@@ -263,8 +263,7 @@ def sample_axle(axle: str = "front", n: int = 3000, seed: int = 0) -> Dataset:
     ValueError
         For another axle or an invalid number or seed.
     """
-    if axle not in AXLES:
-        raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
+    one_of("axle", axle, AXLES)
     rng = _generator(n, seed)
     columns = {"alpha": EMBEDDED_RANGES[AXLES[axle][0]].draw("alpha", n, rng)}
     units, Fy = {"alpha": "rad", "Fy": "N"}, np.zeros(n)

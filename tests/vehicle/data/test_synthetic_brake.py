@@ -135,7 +135,7 @@ def test_the_seed_decides_the_noise(test: object) -> None:
 
 
 def test_bad_settings_are_named() -> None:
-    with pytest.raises(ValueError, match="axle is 'middle'; choose from front, rear"):
+    with pytest.raises(ValueError, match="axle is 'middle'; expected one of front, rear"):
         brake_torque_test("middle")
     with pytest.raises(ValueError, match="seed is -1"):
         brake_pressure_test(seed=-1)

@@ -182,7 +182,7 @@ def test_bad_conditions_are_named() -> None:
         sample_lateral("lf", noise=-1)
     with pytest.raises(ValueError, match=r"sampling range alpha: \[0.1\]"):
         sample_lateral("lf", alpha=[0.1])
-    with pytest.raises(ValueError, match="axle is 'middle'; choose from front, rear"):
+    with pytest.raises(ValueError, match="axle is 'middle'; expected one of front, rear"):
         sample_axle("middle")
 
 
