@@ -24,7 +24,6 @@ from experiments.app.execution import execution_of
 from experiments.app.options import CONF, source
 from experiments.app.plan import Request
 from experiments.app.runs import PlanOutcome
-from experiments.app.schema import register
 from experiments.app.working import State
 from miho import load_runs
 from miho.analysis.compare.comparison import COMPARISON
@@ -37,7 +36,6 @@ ROOT = Path(__file__).parent.parent
 ARENA = ["experiment=arena_small", "comparison.repetitions=2", "budget.evaluations=300"]
 KEPT = {"random": "batch: 50", "pso_100": "", "miho": "R: 9"}
 PROBLEMS = "comparison.problems=[torque_15,brake_static]"
-register()
 METHODS = [f"++comparison.methods.{name}={{{settings}}}" for name, settings in KEPT.items()]
 METHODS += [
     f"~comparison.methods.{name}"

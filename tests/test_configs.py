@@ -19,7 +19,6 @@ from experiments.app.comparing import chosen_method, chosen_problems
 from experiments.app.compose import composed
 from experiments.app.options import options_of
 from experiments.app.published import recorded, settings_of
-from experiments.app.schema import register
 from miho.identification import linear_optimum
 from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize
@@ -32,7 +31,6 @@ NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
 DRIVEN = {"front_axle", "front_axle_drive", "front_axle_tires", "lively_drive", "steering_test"}
 """Their data are simulated by a car that takes seconds to compile."""
 SWEPT = "hydra.sweeper.params.optimizer"
-register()
 
 
 def text(dataset: str) -> str:

@@ -17,7 +17,7 @@ from experiments.app.cluster_runs import cluster_runs
 from experiments.app.compose import composed
 from experiments.app.plan import Request, requests, sweep_settings
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from experiments.app.working import State
 from miho.study import Status, Store
 from miho.study.store import RunInUse
@@ -45,7 +45,6 @@ def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N"
 '''
 ALLOWED = 20.0
 """Seconds; on a quiet machine two are enough, and five are promised."""
-register()
 
 
 @pytest.fixture

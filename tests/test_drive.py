@@ -15,7 +15,6 @@ from hydra.core.global_hydra import GlobalHydra
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.console import command
-from experiments.app.schema import register
 from experiments.drive import drive
 from experiments.driving.car import PARTS, identified_parts, known_car
 from experiments.driving.outcome import Clearance, Departure, departure
@@ -30,7 +29,6 @@ from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models import BrakeTorque
 from tests.vehicle.driving.test_vehicle import av21
 
-register()
 IMS, LVMS = "experiment=ims_obstacle", "experiment=lvms_laps"
 
 

@@ -25,7 +25,6 @@ from experiments.app import launch
 from experiments.app.compose import CONF
 from experiments.app.explain import ConfigError, check_choices, replace_spaces
 from experiments.app.options import options_of
-from experiments.app.schema import register
 from miho import load_runs
 from miho.data import Dataset
 from miho.models import Model
@@ -36,7 +35,6 @@ from miho.study.store import read_run
 
 ROOT = Path(__file__).parent.parent
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20", "dataset.n=40")
-register()
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from experiments.app.mirror import (
 from experiments.app.mlflow_tracker import connect, numbers_of, word
 from experiments.app.plan import requests
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from experiments.sync import pages_need
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch
@@ -164,7 +164,6 @@ def test_an_interrupted_sweep_says_how_to_mirror_what_it_has_finished(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    register()
     small = ["optimizer=random", "budget.evaluations=20", f"root={tmp_path}"]
     plan = requests(composed(small), "", [0, 1])
     assert run(plan[:1], SweepConfig(), here=True).stopped is None
@@ -265,7 +264,7 @@ from experiments.app.compose import composed
 from experiments.app.mlflow_tracker import connect
 from experiments.app.plan import requests
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 root, uri, name, *folders = sys.argv[1:]
 mirror(Path(root), list(map(Path, folders)), partial(connect, Path(root), uri, name))
 """

@@ -17,7 +17,6 @@ from experiments.app.compose import composed
 from experiments.app.execution import execution_of
 from experiments.app.optimum import OTHER_METHODS, descents_of, remedy, report_of, save_run
 from experiments.app.run_text import _ending, result_text
-from experiments.app.schema import register
 from miho.analysis.pages.run import report_folder
 from miho.models.identified import read_parameters
 from miho.optim import Descents
@@ -25,7 +24,6 @@ from miho.study import StoredRun, load_runs, read_run
 from miho.vehicle.models import Pacejka
 from tests.analysis.sweep_synthetic import embedded
 
-register()
 TIRE = ("dataset=tire_lf", "dataset.n=300", "space=seong_physical")
 FAST = ("optimizer=least_squares", "optimizer.rounds=1")
 

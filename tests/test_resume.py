@@ -12,7 +12,7 @@ from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from miho.parallel import usage, worth
 from miho.study.files import JOURNAL
 
@@ -50,7 +50,6 @@ class Runs:
         (folder / "data.csv").write_text(f"t,U\n{rows}\n")
 
     def configured(self, *overrides: str) -> Any:
-        register()
         return composed([
             "model=function", f"model.path={self.folder}/decay.py", "model.batched=false",
             "model.function=decay", "dataset=csv", f"dataset.path={self.folder}/data.csv",

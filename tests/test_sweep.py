@@ -16,7 +16,7 @@ from experiments.app.plan import Request, requests, sweep_settings
 from experiments.app.reports import read_sweep, save_sweep
 from experiments.app.run_text import print_summary
 from experiments.app.runs import run, stored_state
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from experiments.app.working import State, ended_state
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
@@ -26,7 +26,6 @@ from miho.study.manifest import ResumeRefused, refuse_changes
 from miho.testing import DecayFit
 
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")
-register()
 
 
 def config(root: Path, *more: str) -> DictConfig:
@@ -158,7 +157,6 @@ def test_a_seed_below_zero_is_one_line(tmp_path: Path) -> None:
 
 def test_what_a_lost_run_says_keeps_secrets(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setenv("MIHO_TEST_TOKEN", "do-not-tell-this")
-    register()
     request = requests(composed(["optimizer=random", f"root={tmp_path}"]), "", [0])[0]
     state = ended_state(JobOutcome(request, reason="no login with do-not-tell-this"))
     assert state.status is Status.LOST

@@ -9,7 +9,6 @@ from typing import Any
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
-from experiments.app import schema
 from experiments.app.build import HELD, recorded_optimum
 from experiments.app.compose import composed, option_folders, searching
 from experiments.app.options import options_of
@@ -29,7 +28,6 @@ def as_configured(runs: pd.DataFrame, folder: Path | None = None) -> pd.DataFram
     problem has a resolution, smaller errors and optima are set to it. `cut` is true if a run used
     up its seconds before its evaluations and did not converge.
     """
-    schema.register()
     folders = [*option_folders(), *([] if folder is None else [folder])]
     pieces = []
     for name, on_problem in runs.groupby("problem", sort=False):

@@ -23,7 +23,6 @@ from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 from yaml import YAMLError
 
-from experiments.app import schema
 from experiments.app.compose import CONF, VERSION_BASE, job_config
 from experiments.app.explain import (
     ConfigError,
@@ -147,7 +146,6 @@ def command(
     settings
         The settings of the command and their meanings, for its help.
     """
-    schema.register()
     job = Job(task, pool=pool, config_name=config_name)
     # With this, Hydra raises its errors, and run_and_exit prints them in one line.
     os.environ["HYDRA_FULL_ERROR"] = "1"

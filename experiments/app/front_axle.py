@@ -13,7 +13,6 @@ from omegaconf import OmegaConf
 
 from experiments.app.build import rebuild
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho.analysis.figures.paper import AxleCurve
 from miho.data import Dataset
 from miho.quantities import Array
@@ -262,6 +261,5 @@ def facts(axle: FrontAxle) -> dict[str, Any]:
 
 def car_of_paper() -> Vehicle:
     """The car of the paper with the parameters of the simulation."""
-    register()
     settings = composed(["+vehicle@drive.vehicle=av21_full"]).drive.vehicle
     return Vehicle.from_settings(cast(dict[str, Any], OmegaConf.to_container(settings)))

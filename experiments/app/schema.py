@@ -278,7 +278,4 @@ RENAMED = {
 """Messages on settings, options and classes that were renamed or removed, by former name; of a
 removed folder of options, by its name with a slash."""
 
-
-def register() -> None:
-    """Register the schema with Hydra under the name `schema`."""
-    ConfigStore.instance().store(name="schema", node=Config)
+ConfigStore.instance().store(name="schema", node=Config)

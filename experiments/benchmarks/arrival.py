@@ -16,7 +16,6 @@ import pandas as pd
 
 from experiments.app.build import build_optimizer, build_problem
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHOGN, Budget, minimize
@@ -31,7 +30,6 @@ LOOK = "one look"
 
 def measure(quick: bool) -> Measured:
     """Milliseconds of a run that ends at 1.01 times the optimum, by method and rows."""
-    register()
     methods = {name: build_optimizer(composed([f"optimizer={name}"])) for name in METHODS}
     tidy = []
     for rows in ROWS[:2] if quick else ROWS:

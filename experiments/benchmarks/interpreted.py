@@ -20,7 +20,6 @@ import pandas as pd
 
 from experiments.app.build import Experiment, build
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.benchmarks.bars import Measured, benchmark
 from miho import MIHO, Budget, CurveFit, minimize
 from miho.optim.seeds import stream
@@ -91,7 +90,6 @@ def descent(problem: CurveFit, evaluations: int) -> Array:
 
 def measure(quick: bool) -> Measured:
     """Microseconds of the processor per evaluation of each method, interpreted and compiled."""
-    register()
     built = {name: build(composed([f"optimizer={name}", "dataset=tire_lf"])) for name in METHODS}
     jobs = {(name, "interpreted"): partial(interpreted, name, built[name]) for name in METHODS}
     jobs |= {(name, "compiled"): partial(compiled, built[name]) for name in METHODS}

@@ -50,7 +50,6 @@ from experiments.app.explain import parse_overrides
 from experiments.app.options import CONF
 from experiments.app.origin import our_code
 from experiments.app.safety import check_folder
-from experiments.app.schema import register
 from experiments.benchmarks.bars import machine
 from experiments.benchmarks.reach_tables import (
     Run,
@@ -129,7 +128,6 @@ def _optimizer(method: tuple[str, ...]) -> Optimizer:
 
 def runs_of(job: Job) -> list[Run] | str:
     """The runs of a job, or the reason why the data of its problem are missing."""
-    register()
     loaded = _problem(job.problem, job.others, job.wider)
     if isinstance(loaded, str):
         return loaded
@@ -322,7 +320,6 @@ def main() -> None:
     arguments = _arguments()
 
     def job() -> int:
-        register()
         folders, search_path = [CONF], searching(arguments.config_dir)
         if arguments.config_dir is not None:
             check_folder(arguments.config_dir)

@@ -29,7 +29,6 @@ from scipy.special import ndtri
 
 from experiments.app.build import build_problem
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho.models import Trajectory
 from miho.optim import (
     Budget,
@@ -267,7 +266,6 @@ def simulation_times() -> Array:
 
 def simulations(draws: int) -> list[Callable[[], Any]]:
     """Functions without arguments that simulate and return SciPy's solution."""
-    register()
     problem = build_problem(composed(["model=single_track_response", "dataset=steering_test"]))
     model, space = cast(Trajectory, problem.model), problem.space
     thetas = space.decode(space.sample(draws, np.random.default_rng(0), "uniform"))

@@ -29,7 +29,6 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.console import run_and_exit
 from experiments.app.options import options_of
-from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
 from miho.methods.unit_box import UnitBox
 from miho.optim.seeds import stream
@@ -95,7 +94,6 @@ class Optimum:
 @cache
 def problem_of(name: str) -> CurveFit:
     """Problem of a name in conf/problem."""
-    register()
     return build(composed([f"problem={name}"])).problem
 
 
@@ -229,7 +227,6 @@ def main() -> None:
         parser.error(f"unknown problem {unknown[0]}; choose from {', '.join(names)}")
     if arguments.starts < POLISHED:
         parser.error(f"--starts is {arguments.starts}; expected at least {POLISHED}")
-    register()
     print(
         f"{'problem':<19}{'dim':>4}{'rows':>6}  {'optimum':<20}{'agree':>12}{'simplices':>11}"
         f"{'second':>14}{'seconds':>9}"

@@ -25,7 +25,6 @@ from omegaconf import DictConfig
 from experiments.app.build import build_optimizer
 from experiments.app.compose import composed
 from experiments.app.origin import regenerates
-from experiments.app.schema import register
 from experiments.driving.car import known_car
 from experiments.driving.outcome import Clearance, departure, true_use
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
@@ -138,7 +137,6 @@ def results(
 
 def main() -> None:
     """Drive all variants of both tests, print the table and store it."""
-    register()
     settings = sys.argv[1:]
     cfg = composed([f"experiment={TESTS[0]}", *SETTINGS, *settings])
     rows = []

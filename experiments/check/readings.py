@@ -37,7 +37,6 @@ from experiments.app.compose import composed
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.plan import Request, requests, sweep_settings
 from experiments.app.runs import run
-from experiments.app.schema import register
 from miho.analysis import save
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
 from miho.study import load_runs
@@ -183,7 +182,6 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def job() -> int:
-        register()
         costs_of(arguments.output / COSTS)
         overrides = [] if arguments.root is None else [f"root={arguments.root}"]
         cfg = composed([EXPERIMENT, *overrides])

@@ -13,7 +13,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.build import build_optimizer, build_space, plain
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.driving.outcome import true_use
 from experiments.driving.settings import driver_of, track_and_vehicle
 from miho.optim import Budget, Optimizer, Space
@@ -75,7 +74,6 @@ class SeedJob:
 
 def laps_of(job: SeedJob) -> list[dict[str, Any]]:
     """Identify from the measurements of one seed and drive a lap on each variant; one row each."""
-    register()
     cfg = cast(DictConfig, OmegaConf.create(job.setting))
     folder = Path(job.folder)
     with single_thread():

@@ -12,12 +12,9 @@ from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.drawing import draw_axle
 from experiments.app.execution import execution_of
-from experiments.app.schema import register
 from miho.vehicle.driving import Sensors, embedded_plant
 from miho.vehicle.driving.proving_ground import perform, weaves
 from tests.vehicle.driving.cars import car
-
-register()
 
 
 @pytest.mark.slow

@@ -9,13 +9,11 @@ import pytest
 from experiments.app.compose import composed
 from experiments.app.plan import Request, requests
 from experiments.app.runs import run, set_aside_disturbed
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from miho.analysis.compare.size import PAPER, mismatch, settings_by_method, size_note
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Status, Store, load_runs
 from miho.testing import DecayFit
-
-register()
 
 
 def stored(root: Path, *overrides: str, valid: bool = True, seed: int = 0) -> Request:

@@ -7,9 +7,7 @@ from omegaconf.errors import InterpolationResolutionError
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.safety import SecretError, check_no_secret, check_typed
-from experiments.app.schema import register
 
-register()
 SECRET = "correct-horse-battery"
 
 

@@ -19,14 +19,12 @@ from experiments.app.compose import composed
 from experiments.app.drawing import compared, stuck
 from experiments.app.execution import execution_of
 from experiments.app.run_text import table_text
-from experiments.app.schema import register
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store
 from miho.study.manifest import sweep_commands, write_manifest
 from miho.testing import DecayFit
 from tests.analysis.synthetic import frames
 
-register()
 TIRE = ("dataset=tire_lf", "dataset.n=60", "budget.evaluations=60")
 
 

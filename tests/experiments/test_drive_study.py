@@ -11,7 +11,6 @@ from omegaconf import OmegaConf
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.origin import DRIVING, DRIVING_SOURCES
-from experiments.app.schema import register
 from experiments.driving.laps import (
     LAPS,
     VARIANTS,
@@ -45,7 +44,6 @@ from miho.vehicle.models import Pacejka
 from miho.vehicle.models.engine import RPM
 from tests.vehicle.driving.cars import car
 
-register()
 AV21 = car().vehicle
 EXPERIMENT = "experiment=identification_buys"
 

@@ -7,10 +7,8 @@ import pytest
 from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.forecast import announce, forecast, seconds_of_evaluation
-from experiments.app.schema import register
 from miho.optim import Budget
 
-register()
 ROWS = {"every": 1, "where": None}
 
 

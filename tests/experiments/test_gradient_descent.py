@@ -9,7 +9,6 @@ import pytest
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho import Budget, minimize
 from miho.optim import LeastSquaresProblem
 from miho.quantities import Array
@@ -44,7 +43,6 @@ class Watched(LeastSquaresProblem):
 @pytest.fixture(scope="module")
 def errors() -> Mapping[str, Array]:
     """Errors [kN] (RUNS, STEPS) of each method on the left front tire."""
-    register()
     of = {}
     for method in METHODS:
         run = build(composed(["dataset=tire_lf", f"optimizer={method}"]))

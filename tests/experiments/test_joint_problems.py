@@ -13,11 +13,9 @@ from experiments.app.configured import as_configured
 from experiments.app.execution import execution_of
 from experiments.app.optimum import report_of
 from experiments.app.plan import experiment_of, requests
-from experiments.app.schema import register
 from miho.models.layout import PART
 from miho.study import load_runs
 
-register()
 PAGE = Path(__file__).parents[2] / "docs" / "joint.md"
 AXLE = "experiment=front_axle_tires"
 t = np.linspace(0, 2, 40)

@@ -19,7 +19,7 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from miho.optim.seeds import stream
 
 EVALUATIONS, SECONDS, KILLS = 120, 0.05, 4
@@ -46,7 +46,6 @@ SEARCH = "import sys; from tests.experiments.test_killed_runs import search; sea
 
 def search(folder: str, method: str, workers: str) -> None:
     """Execute a run in this process, unless it is stored, as `experiments.identify` does."""
-    register()
     bounds = "{a: {unit: V, low: 0, high: 5}, b: {unit: 1/s, low: 0.1, high: 5}, "
     cfg = composed([
         "model=function", f"model.path={folder}/decay.py", "model.function=decay",

@@ -13,7 +13,7 @@ from experiments.app.build import ConfigError, build, build_optimizer
 from experiments.app.compose import composed
 from experiments.app.plan import requests
 from experiments.app.runs import run
-from experiments.app.schema import SweepConfig, register
+from experiments.app.schema import SweepConfig
 from miho.study import Status
 
 FILE = """
@@ -48,7 +48,6 @@ class Broken(Walk):
     def __init__(self):
         1 / 0
 """
-register()
 
 
 @pytest.fixture

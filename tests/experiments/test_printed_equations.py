@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.check.printed_equations import VARIANTS, results, rows_of
 from experiments.driving.car import known_car
 from experiments.driving.outcome import Clearance
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
 
-register()
 TRUTH = "drive.known=truth"
 
 

@@ -10,7 +10,6 @@ import pytest
 
 from experiments.app.build import ConfigError
 from experiments.app.options import source
-from experiments.app.schema import register
 from experiments.benchmarks import reach
 from experiments.benchmarks.reach import DEFAULT, problems, variants, widened
 from experiments.benchmarks.reach_tables import (
@@ -131,7 +130,6 @@ def test_a_variant_changes_one_setting_and_another_method_drops_them() -> None:
 
 
 def test_problems_are_named_once_in_the_order_given() -> None:
-    register()
     assert problems("tire_lf,sample_b_*,*_lf") == ["tire_lf", "sample_b_physical", "sample_b_wide"]
     assert {"tire_lf", "single_track"} <= set(problems(None))
     with pytest.raises(ConfigError, match="--problems=tire_xx: is unknown; the closest"):

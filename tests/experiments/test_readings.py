@@ -7,7 +7,6 @@ import pytest
 
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import CONF, composed
-from experiments.app.schema import register
 from experiments.benchmarks import interpreted
 from experiments.check import readings
 from miho.identification import CurveFit
@@ -17,7 +16,6 @@ STEPS = 3
 
 @pytest.fixture(scope="module")
 def tire() -> CurveFit:
-    register()
     return build(composed(["dataset=tire_lf", "dataset.n=200"])).problem
 
 
@@ -30,7 +28,6 @@ def test_every_option_is_read_and_every_reading_has_its_options() -> None:
 
 
 def test_every_variant_is_its_method_with_other_settings() -> None:
-    register()
     for request in readings.plan(1):
         name, identity = request.identity.optimizer, request.identity
         _, settings = readings.VARIANTS.get(name, (name, {}))
@@ -39,7 +36,6 @@ def test_every_variant_is_its_method_with_other_settings() -> None:
 
 @pytest.mark.slow
 def test_the_plan_is_of_full_size_and_names_each_method_once() -> None:
-    register()
     requests = list(readings.plan(2))
     identities = [request.identity for request in requests]
     assert len({identity.id for identity in identities}) == len(requests)

@@ -10,9 +10,7 @@ import scipy.optimize
 from baselines.problems.posed import posed_problem
 from experiments.app.compose import composed
 from experiments.app.published import recorded
-from experiments.app.schema import register
 
-register()
 POSED = {name: posed_problem(name) for name in recorded() if name[:3] in ("mw_", "cr_")}
 STARTS = (
     7.20000e+01, 1.12500e+03, 1.16542e+07, 1.16859e+09, 4.98920e+06, 5.00936e+08, 2.42000e+01,

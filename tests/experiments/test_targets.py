@@ -13,14 +13,12 @@ from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.instantiation import instantiate
 from experiments.app.safety import HOMES, TargetError, allowed, find_target, nested_target
-from experiments.app.schema import register
 from miho.data import Dataset
 from miho.models import Model
 from miho.moved import MOVED, new_name, with_present_names
 from miho.optim import Optimizer
 from miho.vehicle.models import Pacejka
 
-register()
 CONF = Path(__file__).parents[2] / "conf"
 
 

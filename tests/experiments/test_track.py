@@ -23,7 +23,6 @@ import miho
 from baselines.online import tire
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.online.comparison import score
 from experiments.online.results import write_session
 from experiments.online.session import Session, repair, replay
@@ -185,7 +184,6 @@ def test_a_dataset_without_times_is_replayed_by_its_period() -> None:
 
 
 def test_a_replay_without_times_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    register()
     task_of(composed(["dataset=front_axle", "stream=replay", "online.learn=20"]))
     assert "has no column 'time': its rows are replayed as 0.02 s apart" in capsys.readouterr().err
 
@@ -253,7 +251,6 @@ DRIVE = ["dataset=lively_drive", "dataset.duration=4.0", "online.changes={D_f: 0
 @pytest.fixture(scope="module")
 def drive() -> Task:
     """A drive with three outputs, the first 2 s of which are the offline data."""
-    register()
     return task_of(composed([*DRIVE, "stream=replay", "online.learn=2.0"]))
 
 
@@ -296,7 +293,6 @@ def test_lines_of_a_differential_equation_are_answered_one_by_one(
 
 def test_the_task_of_an_unmeasured_state_is_refused() -> None:
     """Before the search of the offline data."""
-    register()
     with pytest.raises(ConfigError, match=r"the state 'vy' of .* is not measured; expected all"):
         task_of(composed(["dataset=steering_test", "stream=replay"]))
 

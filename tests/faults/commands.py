@@ -32,7 +32,6 @@ from unittest import mock
 
 from experiments.app.compose import composed
 from experiments.app.plan import MODULES, requests
-from experiments.app.schema import register
 from miho.parallel.workers import start_server
 
 CHECKOUT = Path(__file__).parents[2]
@@ -122,7 +121,6 @@ def identified(*arguments: str) -> Ended:
 def prepare() -> None:
     """Serve workers, and find here what forks would find each: the digest of the code above all."""
     serve_workers()
-    register()
     requests(composed([]), "", [0])
 
 

@@ -17,7 +17,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.build import ConfigError, build, rebuild
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho.study import StoredRun
 from tests.faults.commands import CHECKOUT
 from tests.faults.conftest import Figures
@@ -132,7 +131,6 @@ def _base(**changes: Any) -> DictConfig:
 def _attack(folder: Path) -> dict[str, Any]:
     """What the attacks did to this process."""
     sys.path.insert(0, str(folder))
-    register()
     refused = attacks = 0
     events: list[str] = []
     for attack in ATTACKS.values():  # what refusals themselves import is imported now

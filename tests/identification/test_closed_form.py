@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho import CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Huber, linear_optimum
 from miho.methods.least_squares import LeastSquares
@@ -14,7 +13,6 @@ from miho.models import FunctionModel
 from tests.identification.published import line, longley, misra1a
 
 Array = NDArray[np.float64]
-register()
 
 
 def polynomial(x, *, b0, b1, b2, b3, b4, b5):  # type: ignore[no-untyped-def]

@@ -15,15 +15,12 @@ import miho
 from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.gallery_pages import INTERFACES, build_fmu, description, missing_for_fmu
-from experiments.app.schema import register
 from miho.identification import make_report
 from miho.models import FmuModel
 from miho.models.fmu import CO_SIMULATION, MODEL_EXCHANGE
 
 if reason := missing_for_fmu():
     pytest.skip(reason, allow_module_level=True)
-
-register()
 T = np.linspace(1.0, 9.0, 201)
 K, C, M, START = 8.0, 0.9, 2.0, 0.4
 

@@ -18,7 +18,6 @@ import pytest
 import miho
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.models import FunctionModel, Model, load_function
 from miho.models.expression import Expression
@@ -34,7 +33,6 @@ def decay(t: "s", *, a: "V", b: "1/s") -> "V":
 """
 THETAS = np.array([[2.0, 1.5], [1.0, 0.3], [0.5, 4.0]])
 t = np.linspace(0, 2, 50)
-register()
 
 
 @pytest.fixture

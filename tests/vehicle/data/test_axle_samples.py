@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, sosfilt
 
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from miho.data import Dataset
 from miho.quantities import Array
 from miho.vehicle.data import DrivingLog, load_axle_samples, load_driving_log
@@ -164,7 +163,6 @@ def test_the_simulated_drive_is_a_dataset() -> None:
 
 
 def test_the_vehicle_is_composed_into_the_dataset() -> None:
-    register()
     for dataset in ("axle_log", "torque_log"):
         vehicle = composed([f"dataset={dataset}", "dataset.vehicle.mass=810"]).dataset.vehicle
         assert (vehicle.mass, vehicle.lr) == (810, 1.271)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.driving.car import identified_parts
 from miho.vehicle.data import dyno_test, engine_driving_log, load_engine_drive
 from miho.vehicle.data.synthetic_engine import CAR, DYNO_TRUSTED, HELD_THROTTLES, STEP, true_torque
@@ -121,7 +120,6 @@ def test_the_drive_gives_back_the_curve_of_each_held_throttle(throttle: float) -
 
 def identified_engine(root: Path) -> IdentifiedEngine:
     """Engine map with the curves at 5, 15 and 20 % throttle, identified by least squares."""
-    register()
     cfg = composed(["optimizer=least_squares", f"root={root}"])
     parts = identified_parts(cfg, tuple(DATASETS.values()))
     problems = {throttle: parts[name][0] for throttle, name in DATASETS.items()}
