@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.models.layout import OUTPUT
 from miho.models.model import Model
 from miho.quantities import Array
 
@@ -38,19 +39,17 @@ def finer(
     """
     from miho.models.trajectory import Trajectory
 
-    data, t, every = measured[0], columns[0], np.arange(columns[0].size)
+    every = np.arange(columns[0].size)
     if not isinstance(model, Trajectory) or model.restart or model.segments > 1:
         return columns, every
-    if len(model.outputs) > 1 or data.size < 2 or not np.all(np.diff(t) > 0):
+    data, (t, earliest) = np.unique(measured[0]), np.unique(columns[0], return_index=True)
+    if data.size < 2 or np.isnan(t[-1]):
         return columns, every
-    start = t[:1]
-    if len(columns) == 1:
-        start = data[:1]
-        if t[0] < start[0]:
-            raise ValueError(
-                f"{model.time} is {t[0]:g}, before the start of the motion at {start[0]:g}"
-            )
-    at = np.union1d(np.append(start, t), data[(data > start[0]) & (data < t[-1])])
+    alone = not {*model.inputs} - {model.time, OUTPUT}
+    start = data[0] if alone else t[0]
+    if t[0] < start:
+        raise ValueError(f"{model.time} is {t[0]:g}, before the start of the motion at {start:g}")
+    at = np.union1d(np.append(start, t), data[(data > start) & (data < t[-1])])
     parts = np.ceil(np.diff(at) / np.diff(data).max() * (1 - TOLERANCE))
     if not parts.sum() < MOST:
         raise ValueError(
@@ -58,11 +57,16 @@ def finer(
             f"expected at most {MOST:,}"
         )
     ends = np.append(0, np.cumsum(parts))
-    at = np.interp(np.arange(ends[-1] + 1), ends, at)
-    before = np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
-    linear = model.interpolation == "linear"
-    inputs = [np.interp(at, t, u) if linear else u[before] for u in columns[1:]]
-    return [at, *inputs], np.searchsorted(at, t)
+    at = np.setdiff1d(np.interp(np.arange(ends[-1] + 1), ends, at), t)
+    after = np.searchsorted(t, at)
+    before = earliest[np.maximum(after - 1, 0)]
+    places = before + (after > 0)  # times of each output still increase
+    more = [np.insert(columns[0], places, at)]
+    for name, u in zip([*model.inputs][1:], columns[1:], strict=True):
+        linear = model.interpolation == "linear" and name != OUTPUT
+        new = np.interp(at, t, u[earliest]) if linear else u[before]
+        more.append(np.insert(u, places, new))
+    return more, every + np.searchsorted(np.sort(places), every, side="right")
 
 
 def time_step_remarks(

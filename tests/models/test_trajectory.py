@@ -476,6 +476,32 @@ def test_a_prediction_has_the_inputs_between_its_rows(interpolation: str) -> Non
     fit = miho.fit(measured, {"t": t, "u": u, "x": every}, "x", {"k": (0.1, 10)})
     some = fit.predict({"t": t[::20], "u": u[::20], "x": every[::20]}).value
     np.testing.assert_allclose(some, every[::20], rtol=1e-9)
+    several = replace(model, outputs=["x", lambda x, u: u - x])
+    t, u, output = np.tile(t, 2), np.tile(u, 2), np.repeat([0, 1], t.size)
+    columns = {"t": t, "u": u, "output": output}
+    y = several.predict(np.array([[2.0]]), *columns.values())[0]
+    fit = miho.fit(several, columns, y, {"k": (0.1, 10)})
+    few = np.flatnonzero(np.isin(np.arange(t.size) % 61, np.arange(0, 61, 20)))
+    for rows in (few, few[[4, 0, 5, 1, 6]]):
+        some = fit.predict({name: column[rows] for name, column in columns.items()}).value
+        np.testing.assert_allclose(some, y[rows], rtol=1e-9, atol=1e-9)
+
+
+def test_several_outputs_take_steps_as_short_as_the_data_and_start_where_they_start() -> None:
+    t, w = np.linspace(1, 7, 61), 2.0
+    pendulum = Trajectory(
+        lambda x, v, *, k: (v, -k * x), {"x": 1.0, "v": 0.0}, ["x", "v"], substeps=4
+    )
+    y = np.append(np.cos(w * (t - 1)), -w * np.sin(w * (t - 1)))
+    columns = {"t": np.tile(t, 2), "output": np.repeat([0, 1], t.size)}
+    fit = miho.fit(pendulum, columns, y, {"k": (0.1, 10)})
+    some = fit.predict({"t": [4, 8, 1, 4], "output": [0, 0, 1, 1]}).value
+    exact = [np.cos(3 * w), np.cos(7 * w), 0, -w * np.sin(3 * w)]
+    np.testing.assert_allclose(some, exact, atol=1e-4)
+    with pytest.raises(ValueError, match="t does not increase from row to row; sort the rows"):
+        fit.predict({"t": [8, 4, 1, 4], "output": [0, 0, 1, 1]})
+    with pytest.raises(ValueError, match="t is 0, before the start of the motion at 1"):
+        fit.predict({"t": [0, 4], "output": [1, 0]})
 
 
 def test_a_simulation_with_inputs_is_drawn_over_time() -> None:
