@@ -18,25 +18,28 @@ from miho.models.symbolic import Symbol, trace
 from miho.models.tied import Tied, tie
 from miho.models.traced import TracedExpression
 from miho.models.trajectory import Trajectory
-from miho.online.method import Rows, numbers_of
+from miho.online.method import Rows, numbers_of, rows_of
 from miho.online.outputs import NEXT, TIME
 from miho.optim.space import Space
 from miho.quantities import Array
+from miho.units import UNITS
 
 STEP = "step"
-"""Column of the duration of a step [s]."""
+"""Column of the duration of a step, in the unit of the trajectory's time."""
 LONGEST = 5.0
 """Longest step, in medians of the steps in the data; a longer one separates two motions."""
+GAPS = 3
+"""Number of steps too long, and none short enough, at which rows are refused."""
 
 
 def one_step(problem: CurveFit) -> tuple[CurveFit, ...]:
     """Return one problem for each state of a `Trajectory`: the state one step later.
 
     One step of the classical Runge-Kutta method, without substeps, starts from the measured states
-    of a row. The inputs of its formula are the duration `step` [s], the inputs of the equation at
-    the start and at the end of the step (`steering`, `steering_next`), and the states. Its output
-    is a state at the end, such as `vy_next`. A tracker needs the noise of the measured states as
-    `input_noise`.
+    of a row. The inputs of its formula are the duration `step` in the unit of time, the inputs of
+    the equation at the start and at the end of the step (`steering`, `steering_next`), and the
+    states. Its output is a state at the end, such as `vy_next`. A tracker needs the noise of the
+    measured states as `input_noise`.
 
     Parameters
     ----------
@@ -117,10 +120,11 @@ class OneStep(TracedExpression):
     @cached_property
     def inputs(self) -> Mapping[str, str]:
         """Units of the step, of the inputs at its start and end, and of the states."""
+        time = self.trajectory.inputs[self.trajectory.time]
         equations = self.trajectory.equations
         ends = ("",) if self.trajectory.interpolation == "hold" else ("", NEXT)
         driven = {u + end: self.trajectory.inputs[u] for end in ends for u in equations.inputs}
-        return {STEP: "s"} | driven | {state: self._unit(state) for state in equations.states}
+        return {STEP: time} | driven | {state: self._unit(state) for state in equations.states}
 
     @cached_property
     def parameters(self) -> Mapping[str, str]:
@@ -175,13 +179,17 @@ class StepRows:
     time : str
         Column of the time.
     longest : float
-        Longest step [s]; after a longer one, or a time that goes back, the motion starts anew.
+        Longest step; after a longer one, or a time that goes back, the motion starts anew.
+    unit : float
+        Unit of the time and of `longest` [s].
     """
 
     names: tuple[str, ...]
     time: str
     longest: float
+    unit: float
     _last: Array = field(init=False, repr=False)
+    _gaps: float = field(init=False, repr=False, default=0.0)
 
     def __post_init__(self) -> None:
         self._last = np.empty((0, 1 + len(self.names)))
@@ -193,7 +201,8 @@ class StepRows:
         equations = trajectory.equations
         times = np.unique(problem.dataset[trajectory.time])
         longest = LONGEST * float(np.median(np.diff(times)))
-        return cls((*equations.states, *equations.inputs), trajectory.time, longest)
+        unit = UNITS.get(trajectory.inputs[trajectory.time], UNITS["s"]).factor
+        return cls((*equations.states, *equations.inputs), trajectory.time, longest, unit)
 
     def anew(self) -> StepRows:
         """Return the same, without the last row."""
@@ -207,23 +216,22 @@ class StepRows:
         """Return the steps that end in these rows, by column; a step may begin in the last row."""
         columns: Mapping[str, Any] = rows.columns if isinstance(rows, Dataset) else rows
         if self.time not in columns and TIME in columns:
-            columns = {**columns, self.time: columns[TIME]}
-        needed = (self.time, *self.names)
-        for name in needed:
-            if name not in columns:
-                raise ValueError(
-                    f"rows: no column {name!r}; expected {', '.join(needed)}, and NaN for a "
-                    "missing value"
-                )
-        block = np.column_stack([numbers_of(name, columns[name]) for name in needed])
+            columns = {**columns, self.time: numbers_of(TIME, columns[TIME]) / self.unit}
+        block = rows_of(columns, (self.time, *self.names), 0.0, 0.0)[:, :-1]
         block = np.vstack([self._last, block])
         self._last = block[-1:]
         step = np.diff(block[:, 0])
         joined = (step > 0) & (step <= self.longest)
+        self._gaps += -np.inf if joined.any() else np.sum(step > self.longest)
+        if self._gaps >= GAPS:
+            raise ValueError(
+                f"rows: {self.time} increases by {np.nanmax(step):g} from row to row, and in the "
+                f"data by {self.longest / LONGEST:g}; give times in the unit of the data"
+            )
         now, after = block[:-1][joined].T, block[1:][joined].T
         ends = {name + NEXT: column for name, column in zip(self.names, after[1:], strict=True)}
         starts = dict(zip(self.names, now[1:], strict=True))
-        return {TIME: after[0], STEP: step[joined], **starts, **ends}
+        return {TIME: self.unit * after[0], STEP: step[joined], **starts, **ends}
 
 
 def _trajectory(problem: CurveFit) -> Trajectory:

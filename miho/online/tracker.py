@@ -107,7 +107,7 @@ class Tracker(Running):
         self._steps: StepRows | None = None
         if self._motion is not None:
             self._steps, problem = StepRows.of_problem(self._motion), one_step(self._motion)
-        self._longest = math.inf if self._steps is None else self._steps.longest
+        self._longest = math.inf if self._steps is None else self._steps.longest * self._steps.unit
         self.system = system_of(problem, noise)
         if self._steps is not None and input_noise is None:
             input_noise = self._steps.noise(self.system.sigma)

@@ -134,6 +134,33 @@ def test_rows_at_once_one_by_one_and_after_a_gap() -> None:
     assert at_once.dataset("yaw_rate_next").output == "yaw_rate_next"
 
 
+def test_times_in_milliseconds() -> None:
+    rows, problem = drive(2.0), car_problem()
+    later = {**rows, "t": 1e3 * rows["t"]}
+    with pytest.raises(ValueError, match="t increases by 20 from row to row, and in the data by 0"):
+        car_tracker().update(later)
+    tracker = car_tracker()
+    tracker.update({name: column[:2] for name, column in later.items()})
+    tracker.update({name: column[2] for name, column in later.items()})
+    with pytest.raises(ValueError, match="give times in the unit of the data"):
+        tracker.update({name: column[3] for name, column in later.items()})
+
+    def slower(vy: Any, yaw_rate: Any, steering: Any, *, B: Any, D: Any) -> Any:
+        return tuple(1e-3 * rate for rate in bicycle(vy, yaw_rate, steering, B=B, D=D))
+
+    model = Trajectory(
+        slower, {"vy": 0.0, "yaw_rate": 0.0}, [*NOISE], [*NOISE.values()], units={"t": "ms"}
+    )
+    columns = {**problem.dataset.columns, "t": 1e3 * problem.dataset["t"]}
+    data = Dataset("drive", columns, {**problem.dataset.units, "t": "ms"}, problem.dataset.output)
+    known = {"B": (12.3, 0.6), "D": (0.98, 0.03)}
+    state = Tracker(CurveFit(model, data, problem.space), known, {"D": 0.35}).update(later)
+    expected = car_tracker().update(rows)
+    np.testing.assert_allclose(state.theta, expected.theta, rtol=1e-9)
+    np.testing.assert_allclose(state.deviations, expected.deviations, rtol=1e-6)
+    assert state.time == pytest.approx(expected.time)
+
+
 def test_the_present_parameters_are_of_the_trajectory(tmp_path: Path) -> None:
     tracker, file = car_tracker(), tmp_path / "parameters.json"
     tracker.update(drive(2.0))
