@@ -81,8 +81,8 @@ def one_step(problem: CurveFit) -> tuple[CurveFit, ...]:
     sigma = problem.scale
     if sigma is None and trajectory.scales:
         sigma = 1.0
-    own = trajectory.equations.rhs.parameters
-    space = Space(tuple(p for p in problem.space.parameters if p.name in own))
+    tied, own = isinstance(problem.model, Tied), trajectory.equations.rhs.parameters
+    space = Space(tuple(p for p in problem.space.parameters if tied or p.name in own))
     problems = []
     for state in trajectory.states:
         model: Model = OneStep(trajectory, state)

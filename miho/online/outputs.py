@@ -12,6 +12,7 @@ import numpy as np
 from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import widening
 from miho.identification.report import Report
+from miho.identification.stated import reported_slopes, reported_space, reported_values
 from miho.identification.uncertainty import Linearised
 from miho.models.joint import parts_of
 from miho.models.layout import PART
@@ -72,10 +73,13 @@ class System:
         The outputs.
     space : Space
         The parameters of all outputs.
+    problems : sequence of CurveFit
+        The problems of the outputs.
     """
 
     outputs: tuple[Output, ...]
     space: Space
+    problems: Sequence[CurveFit]
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:
@@ -86,6 +90,20 @@ class System:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return self.space.names
+
+    @cached_property
+    def reported(self) -> Space:
+        """The parameters as the user stated them, in which constraints leave no shares."""
+        return reported_space(self.space)
+
+    def reported_at(self, theta: Array) -> tuple[Array, Array]:
+        """Values (d,) of the reported parameters at `theta`, and their derivatives (d, d)."""
+        values, slopes = theta.copy(), np.eye(theta.size)
+        for problem in self.problems:
+            k = [self.names.index(name) for name in problem.space.names]
+            values[k] = reported_values(problem, theta[None, k])[0]
+            slopes[np.ix_(k, k)] = reported_slopes(problem, theta[k])
+        return values, slopes
 
     @cached_property
     def sigma(self) -> Array:
@@ -123,7 +141,7 @@ def system_of(problems: CurveFit | Sequence[CurveFit], noise: float | None = Non
             raise ValueError(
                 f"problem: the output {name!r} occurs twice; expected different outputs"
             )
-    return System(tuple(outputs), _common(each))
+    return System(tuple(outputs), _common(each), each)
 
 
 def _outputs(problem: CurveFit, noise: float | None) -> list[Output]:

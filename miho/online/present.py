@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.models.identified import Identified, Value
 from miho.models.tied import Tied
 from miho.online.outputs import Output, System
-from miho.online.state import TrackerState
+from miho.online.state import SMALLEST, Change, TrackerState
 from miho.quantities import Array
 
 
@@ -64,6 +66,31 @@ def present_parameters(
         provenance={"interval": "tracked", "rows": state.rows, "time": state.time},
         level=level,
     )
+
+
+def reported_state(system: System, state: TrackerState) -> TrackerState:
+    """Return a state in the reported parameters."""
+    space, mixture = system.reported, state.mixture
+    if space.names == state.names or mixture is None:
+        return state
+    theta, slopes = system.reported_at(state.theta)
+    covariance = slopes @ state.covariance @ slopes.T
+    wider = np.sqrt(np.diag(covariance) / np.maximum(np.diag(state.covariance), SMALLEST))
+    mixture = mixture._replace(
+        means=theta + (mixture.means - state.theta) @ slopes.T,
+        deviations=mixture.deviations * wider,
+    )
+    ends = space.low, space.high
+    return replace(
+        state, names=space.names, theta=theta, covariance=covariance, mixture=mixture, bounds=ends
+    )
+
+
+def reported_change(system: System, change: Change) -> Change:
+    """Return a change of the reported parameters."""
+    (before, a), (after, b) = system.reported_at(change.before), system.reported_at(change.after)
+    errors = np.sqrt(a**2 @ change.before_errors**2), np.sqrt(b**2 @ change.after_errors**2)
+    return Change(before, after, *errors)
 
 
 def _tied(model: Tied, theta: Array, covariance: Array, ends: Array) -> tuple[Array, Array, Array]:

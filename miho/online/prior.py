@@ -38,7 +38,9 @@ def start_of(
             "deviation by name"
         )
     for name, pair in prior.items():
-        k = place_of("prior", name, system.names)
+        k = place_of("prior", name, system.reported.names)
+        if name != system.names[k]:
+            raise ValueError(f"prior: {name} has a constraint; expected a fit as the prior")
         value, deviation = _pair(name, pair)
         theta[k], covariance[k, k] = value, deviation**2
     return np.clip(theta, system.space.low, system.space.high), covariance

@@ -161,11 +161,11 @@ def rules_of(
 ) -> Rules:
     """The rules of a tracker; units are jumps of watched parameters, and deviations of others."""
     if changes is None:
-        changes = dict.fromkeys(system.names, JUMP)
+        changes = dict.fromkeys(system.reported.names, JUMP)
     deviations = np.sqrt(np.diag(covariance))
     unit, watched = deviations.copy(), np.zeros(theta.size)
     for name, share in changes.items():
-        k = place_of("changes", name, system.names)
+        k = place_of("changes", name, system.reported.names)
         positive(f"changes.{name}", share)
         low, value = system.space.low[k], abs(theta[k])
         if value < (NEAR_0 if low < 0 else 1) * deviations[k]:  # a share of 0 is no size

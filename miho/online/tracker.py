@@ -17,7 +17,7 @@ from miho.online.method import Problems, Rows, Running, rows_of
 from miho.online.motion import StepRows, is_motion, one_step
 from miho.online.outputs import TIME, Output, noise_of, noise_of_fits, problem_of, system_of
 from miho.online.population import Population
-from miho.online.present import present_parameters
+from miho.online.present import present_parameters, reported_change, reported_state
 from miho.online.prior import start_of
 from miho.online.rules import Layout, peak_of, rules_of
 from miho.online.settings import Prior, settings_of
@@ -134,6 +134,11 @@ class Tracker(Running):
     @property
     def state(self) -> TrackerState:
         """The state after the last row."""
+        return reported_state(self.system, self._present)
+
+    @property
+    def _present(self) -> TrackerState:
+        """The state in the parameters of the problem."""
         if self._state is None:
             self._state = self._snapshot(self._population.estimate(), None, 0.0)
         return self._state
@@ -168,16 +173,16 @@ class Tracker(Running):
             estimate = population.update(row)
             if population["alarm"]:
                 change = population.changed()
-                alarm = alarm_of(change, float(row[-1]), self.system.names, self._rules.watched)
+                alarm = self._alarm(change, float(row[-1]))
                 self._change = change, alarm.time
                 population["since"] = population["row"] - 1
                 self._informative.clear()
             self._informative.note(row, population["gain"], population["clock"])
         if estimate is None:  # a motion starts
-            self._state = replace(self.state, alarm=None)
-            return self._state
-        self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
-        return self._state
+            self._state = replace(self._present, alarm=None)
+        else:
+            self._state = self._snapshot(estimate, alarm, time.perf_counter() - began)
+        return self.state
 
     @property
     def change(self) -> Alarm | None:
@@ -185,8 +190,12 @@ class Tracker(Running):
         if self._change is None:
             return None
         change, at = self._change
-        now = change._replace(after=self.state.theta, after_errors=self.state.deviations)
-        return alarm_of(now, at, self.system.names, self._rules.watched)
+        state = self._present
+        return self._alarm(change._replace(after=state.theta, after_errors=state.deviations), at)
+
+    def _alarm(self, change: Change, time: float) -> Alarm:
+        change = reported_change(self.system, change)
+        return alarm_of(change, time, self.system.reported.names, self._rules.watched)
 
     def dataset(self, output: str | None = None) -> Dataset:
         """Return the rows since the last alarm that inform the parameters most, for an offline fit.
@@ -240,7 +249,7 @@ class Tracker(Running):
             If there is no such output, or `level` is not between 0 and 1.
         """
         own = self._output(output)
-        return present_parameters(self.system, own, self.state, level, self._motion)
+        return present_parameters(self.system, own, self._present, level, self._motion)
 
     def _output(self, column: str | None) -> Output:
         outputs = {output.column: output for output in self.system.outputs}

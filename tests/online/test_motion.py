@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from miho import CurveFit, Dataset, Parameter, Space, Tracker
+from miho import fit as fit_of
 from miho.data import stacked
 from miho.models import Trajectory
 from miho.models.identified import parameters_text, read_parameters
@@ -252,6 +253,22 @@ def test_fixed_parameters_and_scales_stay() -> None:
         found = part.model.predict(np.array([[0.8]]), *inputs)
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
         assert part.sigma == free.sigma == sigma
+
+
+def test_a_constrained_motion_is_tracked_in_its_own_parameters() -> None:
+    def damped(x: Any, force: Any, *, a: Any, b: Any) -> Any:
+        return force - a * x + b
+
+    t = 0.05 * np.arange(100)
+    model, theta = Trajectory(damped, {"x": 0.0}, ["x"]), np.array([[1.5, 0.5]])
+    columns = {"t": t, "force": np.sin(2 * t)}
+    x = model.predict(theta, *columns.values())[0]
+    x += 0.01 * np.random.default_rng(0).standard_normal(100)
+    bounds: Any = {"a": (0.1, 5), "b": (0.1, 5)}
+    fit = fit_of(model, columns, x, bounds, sigma=0.01, constraints=["b < a"])
+    state = Tracker(fit).update({**columns, "x": x})
+    assert state.names == ("a", "b")
+    assert (np.abs(state.theta - theta[0]) < 3 * state.deviations).all()
 
 
 def test_problems_without_a_step_are_refused() -> None:

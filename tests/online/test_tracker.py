@@ -449,6 +449,35 @@ def test_tied_and_fixed_parameters_follow() -> None:
     assert present["D"].value == run.state.values["D"]
 
 
+def test_a_constrained_fit_is_tracked_in_its_own_parameters() -> None:
+    x = np.random.default_rng(0).uniform(0.2, 2, 300)
+
+    def decays(x: Any, a: Any, b: Any) -> Any:
+        return a * np.exp(-0.5 * x) + b * np.exp(-2 * x)
+
+    y = decays(x, 2.0, np.where(np.arange(300) < 200, 1.0, 0.3))
+    y += 0.01 * np.random.default_rng(1).standard_normal(300)
+    bounds = {"a": (0, 5), "b": (0.1, 5)}
+    free = miho.fit(decays, x[:150], y[:150], bounds, sigma=0.01)
+    fit = miho.fit(decays, x[:150], y[:150], bounds, sigma=0.01, constraints=["b < a"])
+    expected, run = Tracker(free, changes={"b": 0.35}), Tracker(fit, changes={"b": 0.35})
+    rows = [{"x": x[k], "y": y[k]} for k in range(300)]
+    for row in rows[:200]:
+        expected.update(row)
+        run.update(row)
+    assert list(run.state.values) == ["a", "b"]
+    np.testing.assert_allclose(run.state.theta, expected.state.theta, rtol=1e-3)
+    np.testing.assert_allclose(run.state.covariance, expected.state.covariance, rtol=0.1)
+    np.testing.assert_allclose(run.state.intervals(), expected.state.intervals(), rtol=2e-3)
+    assert run.parameters().parameters["b"].value == pytest.approx(run.state.values["b"])
+    assert any(run.update(row).alarm for row in rows[200:])
+    assert abs(run.state.values["b"] - 0.3) < 3 * run.state.deviations[1]
+    change = run.change
+    assert change is not None and str(change).startswith("b fell by 7")
+    with pytest.raises(ValueError, match="prior: b has a constraint; expected a fit as the prior"):
+        Tracker(fit, {"b": (1.0, 0.1)})
+
+
 def test_settings_start_trackers() -> None:
     settings = TrackerSettings(hazard=2e-3)
     assert isinstance(settings, OnlineMethod)
