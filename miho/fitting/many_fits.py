@@ -35,7 +35,8 @@ SEARCHED = 5
 from the optima of these searches."""
 CHECKED = 20
 """Number of datasets that are searched longer afterwards, to check the others: if a tenth of all
-missed the optimum, one of 20 shows it nine times in ten."""
+missed the optimum, one of 20 shows it nine times in ten. If there are no more, all are searched
+first."""
 SCREENED, BEST = 512, 3
 """Common starting points of datasets with the same inputs, and how many a dataset descends from."""
 BETTER = 1e-6
@@ -217,7 +218,8 @@ def _by_numpy(
         each = np.broadcast_to(starts, (count, starts.shape[1]))
         ends = descend(batch, everyone, each[None], progress)
         return ends, batch.covariance(ends), {"checked": 0, "better": 0}
-    few = np.unique(np.linspace(0, count - 1, SEARCHED).round().astype(int))
+    spaced = np.linspace(0, count - 1, SEARCHED).round().astype(int)
+    few = everyone if count <= CHECKED else spaced
     ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
     worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, count // SEARCHED)]
     ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
