@@ -161,6 +161,8 @@ def test_an_interrupt_without_a_journal_tells_of_it() -> None:
 
     with pytest.raises(KeyboardInterrupt, match="with journal='FILE' none is lost"):
         miho.fit(Counted(interrupt).model, t, y, BOX, budget=BUDGET)
+    with pytest.raises(KeyboardInterrupt, match=r"^the search was interrupted$"):
+        miho.fit_many(Counted(interrupt).model, t, [y], BOX)  # takes no journal
 
 
 @pytest.mark.usefixtures("expensive")

@@ -113,3 +113,5 @@ def test_a_long_search_says_that_it_is_alive(
     assert second.startswith("miho: model: error 0.5 after 5 evaluations")
     assert "inf" not in first + second
     assert "budget" not in second
+    pace_line(problem, DifferentialEvolution(), None, -LOGGED, limitable=False)(oracle)
+    assert capsys.readouterr().err.endswith("; DifferentialEvolution stops by itself\n")

@@ -148,7 +148,7 @@ def fit_many(
     @cache
     def search(k: int) -> Array:
         own = CurveFit(chosen, dataset(k), bounds, compiled=False)
-        return searched(own, seed=seed).theta
+        return searched(own, seed=seed, hints=False).theta
 
     fits = MachineFits.of(problem.model, problem.space, datasets)
     began, pace = time.perf_counter(), Pace(Budget(), SLOW)

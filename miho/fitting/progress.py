@@ -19,17 +19,22 @@ LIMIT = "budget=miho.Budget(seconds=60) limits it to a minute"
 
 
 def pace_line(
-    problem: CurveFit, method: Optimizer, budget: Budget | None, began: float | None = None
+    problem: CurveFit,
+    method: Optimizer,
+    budget: Budget | None,
+    began: float | None = None,
+    limitable: bool = True,
 ) -> Callable[[Oracle], None]:
     """An observer that reports a long search on stderr after FIRST seconds and every ten seconds.
 
-    The first line says how to limit a search without a budget. The search `began` at this time of
-    `time.monotonic`, now if it is None.
+    The first line says how to limit a `limitable` search without a budget. The search `began` at
+    this time of `time.monotonic`, now if it is None.
     """
     budget = budget or Budget()
     pace = Pace(budget, FIRST, began)
     endless = budget.evaluations is None and budget.seconds is None
-    hints = iter([f"; {type(method).__name__} stops by itself; {LIMIT}"] if endless else [])
+    stops = f"; {type(method).__name__} stops by itself" + f"; {LIMIT}" * limitable
+    hints = iter([stops] if endless else [])
 
     def observe(oracle: Oracle) -> None:
         pace.update(oracle)
@@ -46,10 +51,10 @@ def pace_line(
     return observe
 
 
-def interrupted(run: RunRecord) -> KeyboardInterrupt:
-    """The exception for a search that was interrupted by Ctrl-C."""
+def interrupted(run: RunRecord, resumable: bool = True) -> KeyboardInterrupt:
+    """The exception for a search, `resumable` with a journal, that Ctrl-C interrupted."""
     each = run.seconds / max(1.0, run.evaluations)
-    if not is_expensive(each):
+    if not (resumable and is_expensive(each)):
         return KeyboardInterrupt("the search was interrupted")
     return KeyboardInterrupt(
         f"the search was interrupted; an evaluation takes {span(each)}: with journal='FILE' none "

@@ -45,11 +45,13 @@ def searched(
     budget: Budget | None = None,
     seed: int = 0,
     evaluations: Evaluations | None = None,
+    hints: bool = True,
 ) -> Fit:
     """Fit a problem by a search, with `MIHOGN()` unless a method is given.
 
-    `evaluations` runs the search and the descent on workers. Raises KeyboardInterrupt after Ctrl-C,
-    and ValueError if no finite value was found.
+    `evaluations` runs the search and the descent on workers. With `hints`, messages name arguments
+    of `miho.fit`. Raises KeyboardInterrupt after Ctrl-C, and ValueError if no finite value was
+    found.
     """
     if not (method is None and budget is None):
         from miho.fitting.named import method_of
@@ -61,12 +63,12 @@ def searched(
         problem, evaluations = called, None
     run = minimize(
         method, problem, budget, seed,
-        workers=evaluations, observer=_observer(problem, method, budget),
+        workers=evaluations, observer=_observer(problem, method, budget, hints),
     )  # fmt: skip
     if run.outcome is Outcome.INTERRUPTED:
         from miho.fitting.progress import interrupted
 
-        raise interrupted(run)
+        raise interrupted(run, hints)
     name = title(problem)
     # A small budget may end before any look at all rows of the data.
     theta = run.provisional if run.theta is None else run.theta
@@ -91,7 +93,7 @@ def searched(
     if called is not None:
         left = _left(budget, run)
         if left is not None:
-            return searched(called, method, left, seed)
+            return searched(called, method, left, seed, hints=hints)
         problem, descent = called, refit(called, descent.theta)
         if not math.isfinite(descent.cost):
             raise ValueError(f"{name}: no finite value was found; increase the budget")
@@ -101,7 +103,9 @@ def searched(
     return _with_others(fit, descent, evaluations)
 
 
-def _observer(problem: CurveFit, method: Optimizer, budget: Budget) -> Callable[[Oracle], None]:
+def _observer(
+    problem: CurveFit, method: Optimizer, budget: Budget, hints: bool
+) -> Callable[[Oracle], None]:
     """An observer that reports a long search on stderr."""
     began, lines = time.monotonic(), list[Callable[[Oracle], None]]()
 
@@ -109,7 +113,7 @@ def _observer(problem: CurveFit, method: Optimizer, budget: Budget) -> Callable[
         if not lines and time.monotonic() - began >= QUIET:
             from miho.fitting.progress import pace_line
 
-            lines.append(pace_line(problem, method, budget, began))
+            lines.append(pace_line(problem, method, budget, began, hints))
         for line in lines:
             line(oracle)
 
