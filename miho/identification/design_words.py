@@ -77,7 +77,7 @@ def assumptions(design: Design) -> list[str]:
             f"{design.goal} is so uncertain that the linearised prediction may mislead: measure "
             "some of these rows, and choose the others after the next fit."
         )
-    if independence(problem, at):
+    if independence(problem, at, at):
         sentences.append(
             "the errors of the present rows are correlated, and new errors will be: rely on the "
             "factor by which the widths fall, not on the widths."

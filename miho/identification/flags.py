@@ -224,10 +224,9 @@ def profile_shapes(
     return sentences
 
 
-def spread_is_uneven(problem: CurveFit, at: Linearised) -> bool:
-    """Whether the spread of the errors changes along the data enough to change a standard error."""
-    ratios = at.sandwich_ratios
-    changed = bool((np.abs(ratios - 1) > UNEVEN).any())
+def spread_is_uneven(problem: CurveFit, at: Linearised, reported: Linearised) -> bool:
+    """Whether the spread of the errors changes enough to change a standard error `reported`."""
+    changed = bool((np.abs(reported.sandwich_ratios - 1) > UNEVEN).any())
     return changed and _chance_of_spread(problem, at) <= CHANCE
 
 
@@ -263,8 +262,11 @@ def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
     return float(scipy.special.chdtrc(rank, squares.size * explained)) if rank else 1.0
 
 
-def independence(problem: CurveFit, at: Linearised) -> list[str]:
-    """Sentences on rows that are not independent: rows of events, or correlated neighbours."""
+def independence(problem: CurveFit, at: Linearised, reported: Linearised) -> list[str]:
+    """Sentences on rows that are not independent: rows of events, or correlated neighbours.
+
+    `at` describes the free parameters, `reported` the parameters with widened intervals.
+    """
     if at.events:
         return [
             "rows of one event are not independent: standard errors, intervals and the bootstrap "
@@ -275,9 +277,9 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
         sentences.append(
             "the rows come from too few events to allow for the dependence within an event."
         )
-    usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
-    if at.dependence is not None and usable.any():
-        sentences.append(_alike(at, at.dependence, np.eye(usable.size)[usable]))
+    usable = np.isfinite(reported.standard_errors) & (reported.standard_errors > 0)
+    if reported.dependence is not None and usable.any():
+        sentences.append(_alike(reported, reported.dependence, np.eye(usable.size)[usable]))
     correlation = serial_correlation_beside_priors(problem, at.theta)
     if correlation:
         sentences.append(

@@ -131,7 +131,7 @@ class ModelComparison:
                     "They are not counted, so its criteria and tests are approximate."
                 )
         best = next(r for r in self.reports if r.problem.name == self.table["model"].iloc[0])
-        if independence(best.problem, best.at):
+        if independence(best.problem, best.at, best.at):
             sentences.append(
                 f"the errors of {best.problem.name} depend on each other, so the rows carry less "
                 "information than independent rows would: all differences are too large, and p is "

@@ -304,7 +304,7 @@ class Report:
         Sandwich standard errors and intervals allow for that.
         """
         known = self.at.noise > rounding_of(self.problem)
-        return known and spread_is_uneven(self.problem, self.reported)
+        return known and spread_is_uneven(self.problem, self.at, self.reported)
 
     def _percentiles(self, replicates: Array, gradients: Array) -> Array:
         """Interval ends (q, 2) from replicates (n, q) of quantities with gradients (q, d)."""

@@ -151,7 +151,7 @@ def _on_data_and_model(report: Report) -> list[str]:
     sentences += flags.sigma_disagrees(problem, report.at)
     sentences += prior_notes(report.priors)
     sentences += [f"{text}." for text in at_limits(problem, report.at.theta)]
-    sentences += flags.independence(problem, at)
+    sentences += flags.independence(problem, report.at, at)
     sentences += too_small_scale(problem, report.at)
     followed = flags.followed(problem, report.trends)
     if not (followed or report.uneven or at.dependence is not None):

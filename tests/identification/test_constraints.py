@@ -380,3 +380,19 @@ def test_a_model_that_fails_far_from_a_start_is_tried_out_near_it() -> None:
     settings["start"] = {"a": 0.7, "b": 0.4}
     with pytest.raises(ValueError, match=r"start: b is 0\.4; expected 0\.7 to"):
         miho.fit(growth, t, y, constraints="a < b", **settings)
+
+
+def test_remarks_on_the_errors_hold_at_the_optimum_of_an_order() -> None:
+    """The model depends on free shares: at reported values the errors are of another curve."""
+    t = np.linspace(0, 5, 60)
+
+    def two(t: Any, a: Any, k: Any, b: Any, m: Any) -> Any:
+        return a * np.exp(-k * t) + b * np.exp(-m * t)
+
+    y = two(t, 2, 3, 1, 0.3) + 0.02 * np.random.default_rng(0).standard_normal(60)
+    bounds: dict[str, Any] = {"a": (0, 10), "k": (0, 20), "b": (0, 10), "m": (0, 20)}
+    for prior in ({}, {"m": {"low": 0, "high": 20, "prior": (0.3, 0.05)}}):
+        fit = miho.fit(two, t, y, bounds | prior, constraints="m < k")
+        report = fit.report(profiles=False)
+        assert not report.uneven
+        assert not any("neighbouring rows" in note for note in report.notes)
