@@ -217,6 +217,22 @@ def test_tied_and_fixed_parameters_are_as_substituted_ones() -> None:
     ]  # fmt: skip
 
 
+def test_the_covariance_of_ordered_tied_and_fixed_parameters_is_scipys() -> None:
+    values = two(t, 1.0, 0.7, 2.0, 4.0) + 0.01 * noise
+    _, expected = curve_fit(lambda t, b, d: two(t, 1.0, b, 2.0, d), t, values, [0.7, 4.0])
+    box = {"b": (0, 5), "d": (0, 20), "sum": {}}
+    stated = {"fixed": {"a": 1, "c": 2}, "tied": {"sum": "b + d"}}
+    covariance = miho.fit(two, t, values, box, constraints="b < d", **stated).covariance
+    assert list(covariance) == list(covariance.index) == ["a", "b", "c", "d", "sum"]
+    free = covariance.loc[["b", "d"], ["b", "d"]].to_numpy()
+    assert free == pytest.approx(expected, rel=1e-4)
+    assert covariance.loc["sum", ["a", "b", "sum"]].tolist() == pytest.approx(
+        [0, free[0].sum(), free.sum()]
+    )
+    lost = miho.fit(lambda t, a, b, c: a * c * np.exp(-b * t), t, y, {**BOX, "c": (1, 2)})
+    assert np.isfinite(lost.covariance).to_numpy().sum() == 1
+
+
 def test_a_model_of_ours_and_a_data_frame() -> None:
     alpha = np.linspace(-0.15, 0.15, 200)
     truth = np.array([12.0, 1.5, 4000.0, 0.002, 20.0])

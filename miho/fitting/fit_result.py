@@ -128,9 +128,10 @@ class Fit(Remade):
 
     @cached_property
     def uncertainty(self) -> Linearised:
-        """Standard errors and correlations; they allow for correlated errors of neighbouring rows.
+        """Uncertainty of `theta`, that is of shares of constrained parameters: see `covariance`.
 
-        Raises ValueError if there are no more rows than parameters.
+        It allows for correlated errors of neighbouring rows. Raises ValueError if there are no more
+        rows than parameters.
         """
         from miho.identification.uncertainty import linearised
 
@@ -201,6 +202,24 @@ class Fit(Remade):
         frame = tables[0]
         frame["low"], frame["high"] = hull([table["value"].to_numpy() for table in tables], ends).T
         return frame[["value", "standard_error", "low", "high", "unit", "status"]]
+
+    @property
+    def covariance(self) -> pd.DataFrame:
+        """Covariance of all parameters by name, with zeros for fixed ones.
+
+        NaN marks parameters without a finite standard error. Raises ValueError if there are no more
+        rows than parameters.
+        """
+        import pandas as pd
+
+        from miho.identification.stated import stated_parameters
+
+        stated, slopes = stated_parameters(self.problem, self.uncertainty)
+        covariance = slopes @ self.uncertainty.covariance @ slopes.T
+        lost = ~np.isfinite([p.standard_error for p in stated])
+        covariance[lost], covariance[:, lost] = math.nan, math.nan
+        names = [p.name for p in stated]
+        return pd.DataFrame(covariance, names, names)
 
     @property
     def values(self) -> dict[str, float]:
