@@ -58,10 +58,12 @@ def text_of(report: Report) -> str:
     """The parameters with their best intervals, the error, and the remarks."""
     problem, kind = report.problem, interval_kind(report.parameters)
     columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
-    formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
+    if kind != "bootstrap" and report.replicates is not None:
+        columns += ["bootstrap low", "bootstrap high"]
     if report.uneven and not report.conclusion.doubt:
         columns += ["sandwich", "sandwich low", "sandwich high"]
-    parts = [_printed(report.parameters[columns], formatters)]
+    open_ends = dict.fromkeys(("profile low", "profile high"), _end)
+    parts = [_printed(report.parameters[columns], open_ends)]
     quantities = _with_best_intervals(report.derived)
     if len(quantities):
         parts.append(_printed(quantities, dict.fromkeys(("low", "high"), _end)))

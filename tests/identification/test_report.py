@@ -63,7 +63,7 @@ def test_it_prints_in_words(tire: Report) -> None:
     lines = str(tire).splitlines()
     assert lines[0].split() == [
         "parameter", "value", "unit", "standard", "error", "profile", "low", "profile", "high",
-        "sandwich", "sandwich", "low", "sandwich", "high",
+        "bootstrap", "low", "bootstrap", "high", "sandwich", "sandwich", "low", "sandwich", "high",
     ]  # fmt: skip
     assert [line.split()[0] for line in lines[1:6]] == ["B", "C", "D", "Sx", "Sy"]
     end = next(k for k, line in enumerate(lines) if line.startswith("error: "))
