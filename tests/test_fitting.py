@@ -233,6 +233,18 @@ def test_the_covariance_of_ordered_tied_and_fixed_parameters_is_scipys() -> None
     assert np.isfinite(lost.covariance).to_numpy().sum() == 1
 
 
+def test_with_a_start_a_bound_may_be_open() -> None:
+    start = {"a": 1e-3, "b": 1}
+    plain = miho.fit(decay, t, y, start=start).values
+    half: dict[str, Any] = {"a": (0, math.inf), "b": {"low": 0}}
+    assert miho.fit(decay, t, y, half, start=start).values == pytest.approx(plain, rel=1e-5)
+    assert miho.fit(decay, t, y, {"a": (-math.inf, 1)}, start=start).values["a"] == 1
+    with pytest.raises(ValueError, match=r"start: a is 0\.001; give one from 1 to inf"):
+        miho.fit(decay, t, y, {"a": (1, math.inf)}, start=start)
+    with pytest.raises(ValueError, match=r"high is inf; expected finite bounds .* or a start"):
+        miho.fit(decay, t, y, half)
+
+
 def test_a_model_of_ours_and_a_data_frame() -> None:
     alpha = np.linspace(-0.15, 0.15, 200)
     truth = np.array([12.0, 1.5, 4000.0, 0.002, 20.0])
@@ -485,7 +497,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "start NaN": ({"space": None, "start": {"a": np.nan, "b": 1}}, "start: a is nan; expected a"),
     "fixed by position": ({"fixed": ["a"]}, "fixed is \\['a'\\]; give its values by name"),
     "fixed to a word": ({"fixed": {"a": "one"}}, "fixed: a is 'one'; expected a finite number"),
-    "a misspelt name": ({"space": {"a": (0, 5), "B": (0, 5)}}, "B is not a parameter of decay"),
+    "a misspelt name": ({"space": {"a": (0, 5), "B": (0, 5)}}, "decay has no parameter B"),
     "a setting of lmfit": (
         {"space": {**BOX, "a": {"min": 0, "max": 5}}},
         "bounds of a: min is not a setting; choose from unit, low, high, scale",

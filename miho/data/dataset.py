@@ -88,11 +88,14 @@ class Dataset:
             column = np.array(values, dtype=float)
             if np.ma.is_masked(values):
                 column[np.ma.getmaskarray(values)] = np.nan
-            if column.ndim != 1 or not np.isfinite(column).all():
+            lost = np.flatnonzero(~np.isfinite(column))
+            if column.ndim != 1 or lost.size:
+                got = f"the shape {column.shape}"
+                if column.ndim == 1:
+                    got = f"{column[lost[0]]} in row {lost[0] + 1}, {lost.size:,} not finite in all"
                 raise ValueError(
                     f"dataset {self.name}: column {key!r} must be one finite number per row; "
-                    f"got shape {column.shape} with "
-                    f"{np.count_nonzero(~np.isfinite(column))} not finite"
+                    f"got {got}"
                 )
             column.flags.writeable = False
             columns[key] = column

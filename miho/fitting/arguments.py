@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 FAR = 1e6
 """The search range of a parameter without bounds: this multiple of its start on either side."""
+OPEN = {"low": -math.inf, "high": math.inf}
+"""Ends of a range without bounds."""
 DENSE = 10.0
 """The same multiple with dense constraints; longer rays would resolve too little."""
 NEAR = 0.1
@@ -277,7 +279,7 @@ def space_of(
 ) -> Space:
     """The space from bounds, start, fixed and tied parameters; parameters of the model come first.
 
-    The range of a parameter without bounds is `reach` times its start on either side.
+    Without a bound, the range of a parameter ends at `reach` times its start.
     """
     ranges = named(bounds)
     names = list(dict.fromkeys([*model.parameters, *ranges]))
@@ -298,23 +300,26 @@ def space_of(
     for name in names:
         unit = model.parameters.get(name, "")
         settings = _settings(name, ranges.get(name))
+        open_ends = [end for end, far in OPEN.items() if settings.get(end, far) == far]
         if name in fixed:
             settings |= {"fixed": number_of(f"fixed: {name}", fixed[name])}
         elif name in tied:
             settings |= {"tied": tied[name]}
-        elif start is not None and name in start and "low" not in settings:
+        elif start is not None and name in start and open_ends:
+            _check_start(name, settings, start)
             at = number_of(f"start: {name}", start[name])
             ends = at - reach * max(abs(at), 1.0), at + reach * max(abs(at), 1.0)
             if settings.get("scale") == "log" and at > 0:
                 ends = at / reach, at * reach
             # A model is tried near the start: far away, a simulation may take very long.
             spread = NEAR if settings.get("scale") == "log" else NEAR * (abs(at) or 1.0)
-            settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **settings}
+            given = {key: value for key, value in settings.items() if key not in open_ends}
+            settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **given}
         elif not settings and name in model.defaults:
             settings = {"fixed": model.defaults[name]}
         elif not settings:
             unknown = [other for other in ranges if other not in model.parameters]
-            hint = f"; {', '.join(unknown)} is not a parameter of {model.name}" * bool(unknown)
+            hint = f"; {model.name} has no parameter {', '.join(unknown)}" * bool(unknown)
             raise ValueError(
                 f"{name} has no bounds; give them, for example {{{name!r}: (0, 10)}}, or a start "
                 f"of every parameter{hint}"

@@ -126,7 +126,8 @@ class FunctionModel(DifferencedModel):
         for argument in signature.parameters.values():
             if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
                 raise ValueError(
-                    f"{self._place}: expected named arguments, got {argument}; name each argument"
+                    f"{self._place}: expected named arguments, got {argument}; name each argument, "
+                    "as in lambda t, a, b: f(t, a, b)"
                 )
             default = argument.default
             column = own[argument.name].kind in COLUMN and default is argument.empty

@@ -108,7 +108,7 @@ class Parameter:
         if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise ValueError(
                 f"{label}: low is {self.low!r} and high is {self.high!r}; "
-                "expected finite bounds with low < high, or fixed or tied"
+                "expected finite bounds with low < high, or fixed or tied, or a start in miho.fit"
             )
         if self.scale == "log" and self.low <= 0:
             raise ValueError(f"{label}: low is {self.low!r}; expected above 0 on the log scale")

@@ -47,8 +47,9 @@ def test_columns_are_copies_that_nobody_edits() -> None:
     ("changes", "message"),
     [
         ({"x": (1.0, np.nan)}, "'x' must be one finite number per row"),
-        ({"x": ((1.0, 2.0),)}, "got shape"),
-        ({"x": np.ma.array([1.0, 2.0], mask=[0, 1])}, "'x' must be .* with 1 not finite"),
+        ({"x": 0.0}, r"'x' must be one finite number per row; got the shape \(\)"),
+        ({"x": ((1.0, 2.0),)}, r"got the shape \(1, 2\)"),
+        ({"x": np.ma.array([1.0, 2.0], mask=[0, 1])}, "got nan in row 2, 1 not finite in all"),
         ({"x": (1j, 2.0)}, "column 'x' is complex128; expected real numbers"),
         (
             {"x": np.array([1, 2], "M8[s]")},

@@ -127,7 +127,7 @@ def test_a_function_of_one_row_gets_a_hint(value: str) -> None:
 
 
 BAD = {
-    "any arguments": (DECAY.replace("*,", "*rest,"), r"expected named arguments, got \*rest"),
+    "any arguments": (DECAY.replace("*,", "*rest,"), r"got \*rest; name each argument, as in"),
     "no parameters": (DECAY.replace("*, ", ""), "one parameter, got 3 and 0"),
     "no columns": (DECAY.replace('t: "s", ', ""), "one parameter, got 0 and 2"),
     "a syntax error": (DECAY.replace("(-b * t)", "(-b * t"), "mine.py:5: '.' was never closed"),
