@@ -75,8 +75,6 @@ class TextFormat:
         object.__setattr__(self, "decimal", DECIMALS.get(self.decimal, self.decimal))
         if self.decimal not in DECIMALS.values():
             raise ValueError(f"decimal is {self.decimal!r}; choose from {', '.join(DECIMALS)}")
-        if self.decimal == self.delimiter:
-            raise ValueError("decimal and delimiter are both ','; only one of them can be")
         if type(self.skip_rows) is not int or self.skip_rows < 0:
             raise ValueError(f"skip_rows is {self.skip_rows!r}; expected a number of lines")
         listed = isinstance(self.drop_rows, Sequence) and not isinstance(self.drop_rows, str)
@@ -227,7 +225,7 @@ class TextTable:
 
     def _detect_delimiter(self, header: bool) -> str:
         """The delimiter that gives the requested columns in the header; a comma by default."""
-        candidates = [character for character in DELIMITERS.values() if character != self.decimal]
+        candidates = sorted(DELIMITERS.values(), key=self.decimal.__eq__)
         line = self.lines[0]
         for candidate in candidates:
             if header and self._names_columns(line, candidate):
@@ -319,7 +317,7 @@ class TextTable:
         if any(line.count(self.delimiter) != self.width - 1 for line in lines):
             return None
         if self.decimal == ",":
-            if "." in text:
+            if "." in text or self.delimiter == ",":
                 return None
             lines = text.replace(",", ".").split("\n")
         try:
@@ -355,7 +353,7 @@ class TextTable:
                 if TIME.search(text):
                     remedy = "write times as seconds since the first row"
                 other_decimal = "comma" if self.decimal == "." else "point"
-                if self.delimiter != "," and _number(text, DECIMALS[other_decimal]) is not None:
+                if _number(text, DECIMALS[other_decimal]) is not None:
                     remedy = f"write decimals with '{self.decimal}', or set decimal={other_decimal}"
                 raise self._error(line, column, f"{problem}; {remedy}")
             values.append(value)

@@ -52,6 +52,7 @@ BAD = {
     "a time": ("a,b\n10:00:01,2\n", "2:1", "write times as seconds since the first row"),
     "a date": ("a,b\n1,2024-05-03T10\n", "2:3", "write times as seconds since the first row"),
     "decimal commas": ("a;b\n1,5;2\n", "2:1", "write decimals with '.', or set decimal=comma"),
+    "both commas": ('a,b\n"1,5",2\n', "2:1", "write decimals with '.', or set decimal=comma"),
 }
 
 
@@ -93,12 +94,19 @@ def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) 
         read_numbers(path, ["b", "a"], header=True, text=text)
 
 
+@pytest.mark.parametrize("delimiter", [None, "comma"])
+def test_quoted_decimal_commas_between_commas(tmp_path: Path, delimiter: str | None) -> None:
+    """As pandas writes them: `to_csv(decimal=",")`."""
+    path = file(tmp_path, 'a,b\n"0,5",2\n1,"2,5"\n3,4\n')
+    columns = read_numbers(path, ["b"], header=True, text=TextFormat(delimiter, "comma"))
+    assert columns["b"].tolist() == [2.0, 2.5, 4.0]
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"delimiter": "x"}, "delimiter is 'x'; choose from comma, semicolon, tab"),
         ({"decimal": "x"}, "decimal is 'x'; choose from point, comma"),
-        ({"decimal": ",", "delimiter": "comma"}, "decimal and delimiter are both ','"),
         ({"skip_rows": -1}, "skip_rows is -1; expected a number of lines"),
         ({"drop_rows": [0]}, r"drop_rows is \[0\]; list the numbers of lines, counted from 1"),
         ({"drop_rows": "2"}, "drop_rows is '2'; list"),
