@@ -282,7 +282,9 @@ def _search(
         outcome, error = Outcome.FAILED, f"{reason}\n"
     except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
         outcome, oracle.state = Outcome.FAILED, None
-        error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
+        last = "".join(traceback.format_exception_only(raised))  # one line, for a message
+        above = traceback.format_exc().removesuffix(last)
+        error = f"{above}{' '.join(last.split())} ({raised_at(raised, optimizer)})\n"
     return outcome, error
 
 
