@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from miho.fitting.fit_result import Fit
-from miho.fitting.search import by_calls, check_repeats, spread, title
+from miho.fitting.search import by_calls, check_repeats, closed_form, spread, title
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
 from miho.parallel import Evaluations
@@ -30,6 +30,7 @@ def descended(
         from miho.optim.gauss_newton_descent import descended as descended_by_machine
 
         theta = _better(problem, descended_by_machine(rows, problem.space, theta), theta)
+    theta = closed_form(problem, theta)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
         raise ValueError(f"{title(problem)}: the loss at the start is not finite; give another one")

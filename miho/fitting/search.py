@@ -84,6 +84,7 @@ def searched(
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
         sys.stderr.write(f"miho: {name}: the search failed, its best is taken: {reason}\n")
+    theta = closed_form(problem, theta)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):  # possible on rows that the search did not evaluate
         raise ValueError(
@@ -101,6 +102,17 @@ def searched(
     check_repeats(problem, descent.theta, descent.cost, evaluations)
     fit = Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
     return _with_others(fit, descent, evaluations)
+
+
+def closed_form(problem: CurveFit, theta: Array) -> Array:
+    """The optimum of a model that is linear in all parameters, or `theta` if it is no worse."""
+    if set(problem.linear) != set(problem.space.names):
+        return theta
+    from miho.identification.conclusion import linear_optimum
+
+    optimum = linear_optimum(problem)
+    better = optimum is not None and optimum[1] < problem.loss(theta[None])[0]
+    return optimum[0] if better else theta
 
 
 def _observer(

@@ -39,8 +39,8 @@ class Dependence:
         Correlation of consecutive errors, corrected for the correlation that a fit causes.
     model : Autoregression
         The model of the errors, which gives the covariance.
-    sides : ndarray of shape (2 p, d, d)
-        Covariances for models one standard error away from `model` on either side.
+    sides : ndarray of shape (2 p, r, r)
+        `Linearised.sums` for models one standard error away from `model` on either side.
     errors : ndarray of shape (N,)
         The errors, after the influence function of a robust loss.
     independent : Linearised
@@ -53,19 +53,16 @@ class Dependence:
     errors: Array
     independent: Linearised
 
-    def freedom(self, gradients: Array) -> Array:
-        """Degrees of freedom (n,) of quantities with these gradients (n, d) in the parameters."""
-        variances = np.einsum("ij,sjk,ik->si", gradients, self.sides, gradients)
+    def freedom(self, projected: Array) -> Array:
+        """Degrees of freedom (n,) of quantities whose gradients times `half` are these (n, r)."""
+        variances = np.einsum("ij,sjk,ik->si", projected, self.sides, projected)
         return degrees_of_freedom(variances, self.independent.freedom)
 
 
-def dependent(
-    at: Linearised, errors: Array, basis: Array, half: Array, series: Sequence[slice]
-) -> Linearised:
+def dependent(at: Linearised, errors: Array, basis: Array, series: Sequence[slice]) -> Linearised:
     """The uncertainty for errors (N,) that depend on neighbouring rows, if they are correlated.
 
-    The orthonormal `basis` (N, r) spans the derivatives, and `half` (d, r) maps sums of errors
-    times the basis to changes of the parameters. Rows are neighbours within a `series`.
+    The orthonormal `basis` (N, r) spans the derivatives. Rows are neighbours within a `series`.
     """
     alike = serial_correlation(errors, basis, series)
     if not alike.significant or not basis.shape[1]:
@@ -73,14 +70,13 @@ def dependent(
     model, sides = autoregression(errors, basis, series)
     few_rows = errors.size / at.freedom
 
-    def covariance(model: Autoregression, squares: Array | None = None) -> Array:
+    def sums_of(model: Autoregression, squares: Array | None = None) -> Array:
         # At least the covariance of independent rows, even if the errors oscillate.
         rows = np.full(errors.size, at.noise**2) if squares is None else errors**2 * few_rows
         least = (basis.T * rows) @ basis
         sums = model.variance_of_sums(basis, squares, series)
         excess, axes = np.linalg.eigh(sums - least)
-        total = least + axes * np.maximum(excess, 0.0) @ axes.T
-        return np.asarray(half @ total @ half.T)
+        return np.asarray(least + axes * np.maximum(excess, 0.0) @ axes.T)
 
     # White's estimate of the innovations, with the factor for few rows; the first rows have none.
     squares = np.full(errors.size, model.variance)
@@ -89,15 +85,15 @@ def dependent(
     dependence = Dependence(
         correlation=alike.correlation,
         model=model,
-        sides=np.array([covariance(side) for side in sides]),
+        sides=np.array([sums_of(side) for side in sides]),
         errors=errors,
         independent=at,
     )
-    freedom = dependence.freedom(np.eye(at.theta.size)[np.isfinite(at.standard_errors)])
+    freedom = dependence.freedom(at.half[np.isfinite(at.standard_errors)])
     return replace(
         at,
-        covariance=covariance(model),
-        sandwich=covariance(model, squares),
+        sums=sums_of(model),
+        uneven_sums=sums_of(model, squares),
         freedom=int(freedom.min(initial=at.freedom)),
         dependence=dependence,
     )

@@ -11,10 +11,13 @@ from miho.quantities import Array
 
 SINGULAR = 1e-10
 """A direction does not change the predictions if its singular value is at most this fraction of the
-largest."""
+largest, which is the error of derivatives by differences."""
+EXACT = 1e-14
+"""The same fraction for models that are linear in all parameters, with exact derivatives: some 50
+roundings of a double. Powers up to the fifth of calendar years are that close to dependent."""
 SMALLEST = 1e-140
 """A column of derivatives counts as zero if its norm is smaller. A variance is the inverse square
-of the norm and overflows below 1e-154; the singular values divide it by up to 1e-10 more."""
+of the norm and overflows below 1e-154; the singular values divide it by up to 1e-14 more."""
 ROUNDING = 1e-12
 """A smaller component of a unit vector is rounding: the direction does not move the parameter."""
 INVOLVED = 1e-6
@@ -36,7 +39,7 @@ class InverseRoot(NamedTuple):
     moved: NDArray[np.bool_]
 
 
-def inverse_root(J: Array, free: NDArray[np.intp]) -> InverseRoot:
+def inverse_root(J: Array, free: NDArray[np.intp], singular: float = SINGULAR) -> InverseRoot:
     """The root for derivatives J (N, d), by singular values of columns scaled to unit length.
 
     Parameters outside the positions `free` are fixed: their entries are 0.
@@ -46,7 +49,7 @@ def inverse_root(J: Array, free: NDArray[np.intp]) -> InverseRoot:
     U, s, Vt = np.linalg.svd(J[:, free] / scale, full_matrices=len(J) < free.size)
     scale[np.isinf(scale)] = 1.0
     s = np.append(s, np.zeros(len(Vt) - s.size))
-    determined = s > SINGULAR * s.max(initial=0.0)
+    determined = s > singular * s.max(initial=0.0)
     half = np.zeros((J.shape[1], int(determined.sum())))
     half[free] = Vt[determined].T / s[determined] / scale[:, None]
     null = np.zeros((int((~determined).sum()), J.shape[1]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import Dependence, dependent, events_of, series_of
-from miho.identification.inverse_root import INVOLVED, inverse_root
+from miho.identification.inverse_root import EXACT, INVOLVED, SINGULAR, inverse_root
 from miho.identification.line_wrapping import with_unit
 from miho.identification.refit import AT_BOUND
 from miho.models.model import Model
@@ -30,10 +30,12 @@ class Linearised:
     ----------
     theta : ndarray of shape (d,)
         The optimum, in the units of the parameters, as are all standard errors.
-    covariance : ndarray of shape (d, d)
-        Covariance for errors of equal spread that are independent between rows.
-    sandwich : ndarray of shape (d, d)
-        Covariance for errors whose spread changes between rows [1]_, in the form HC3 for few rows
+    half : ndarray of shape (d, r)
+        Maps sums of errors times an orthonormal basis of the derivatives to changes of parameters.
+    sums : ndarray of shape (r, r)
+        Covariance of these sums for errors of equal spread that are independent between rows.
+    uneven_sums : ndarray of shape (r, r)
+        The same for errors whose spread changes between rows [1]_, in the form HC3 for few rows
         [2]_.
     noise : float
         Standard deviation of the errors, in the unit of the output.
@@ -64,8 +66,9 @@ class Linearised:
     """
 
     theta: Array
-    covariance: Array
-    sandwich: Array
+    half: Array
+    sums: Array
+    uneven_sums: Array
     noise: float
     freedom: int
     events: int
@@ -75,6 +78,16 @@ class Linearised:
     noise_known: bool = False
     dependence: Dependence | None = None
 
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (d, d) of the parameters, by `sums`."""
+        return np.asarray(self.half @ self.sums @ self.half.T)
+
+    @cached_property
+    def sandwich(self) -> Array:
+        """Covariance (d, d) of the parameters, by `uneven_sums`."""
+        return np.asarray(self.half @ self.uneven_sums @ self.half.T)
+
     @property
     def independent(self) -> Linearised:
         """The uncertainty for independent rows."""
@@ -83,7 +96,7 @@ class Linearised:
     @cached_property
     def by_sandwich(self) -> Linearised:
         """The uncertainty with the sandwich as covariance."""
-        return replace(self, covariance=self.sandwich)
+        return replace(self, sums=self.uneven_sums)
 
     def mapped(
         self,
@@ -98,16 +111,12 @@ class Linearised:
         """
         dependence = self.dependence
         if dependence is not None:
-            dependence = replace(
-                dependence,
-                sides=slopes @ dependence.sides @ slopes.T,
-                independent=self.independent.mapped(values, slopes, at_bound, unidentifiable),
-            )
+            independent = self.independent.mapped(values, slopes, at_bound, unidentifiable)
+            dependence = replace(dependence, independent=independent)
         return replace(
             self,
             theta=values,
-            covariance=slopes @ self.covariance @ slopes.T,
-            sandwich=slopes @ self.sandwich @ slopes.T,
+            half=slopes @ self.half,
             at_bound=at_bound,
             null_directions=self.null_directions @ slopes.T,
             unidentifiable=unidentifiable,
@@ -162,7 +171,7 @@ class Linearised:
         """`quantile` (n,) for quantities with gradients (n, d) with respect to the parameters."""
         if self.dependence is None:
             return np.full(len(gradients), self.quantile(level))
-        freedom = self.dependence.freedom(gradients)
+        freedom = self.dependence.freedom(gradients @ self.half)
         return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2))
 
     def reach(self, gradients: Array, level: float = 0.95) -> Array:
@@ -216,7 +225,9 @@ class Linearised:
             Standard errors: infinite for a function that a null direction moves, NaN for a function
             that depends only on parameters at a bound.
         """
-        variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
+        # By `half`: the covariance of nearly dependent parameters has too few digits.
+        projected = gradients @ self.half
+        variance = np.einsum("ij,jk,ik->i", projected, self.sums, projected)
         errors = np.sqrt(np.maximum(variance, 0.0))
         for direction in self.null_directions:
             size = np.abs(gradients) @ np.abs(direction)
@@ -267,17 +278,19 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
             f"{problem.name}: {errors.size} rows for {count} parameters; "
             "uncertainty needs more rows than parameters"
         )
-    root = inverse_root(J, np.flatnonzero(~at_bound))
+    exact = problem.model.jacobian_cost is None and set(problem.linear) == set(problem.space.names)
+    root = inverse_root(J, np.flatnonzero(~at_bound), EXACT if exact else SINGULAR)
     psi, stiffness = _influence(problem, errors)
     variance, freedom = _variance(problem, psi, stiffness, root.basis, count)
     spread, events = _spread(problem, root.basis, psi / stiffness, float(np.sqrt(variance)))
-    sandwich = root.half @ (spread.T @ spread) @ root.half.T
+    uneven = spread.T @ spread
     if events:
-        sandwich *= (errors.size - 1) / (errors.size - count) * events / (events - 1)
+        uneven *= (errors.size - 1) / (errors.size - count) * events / (events - 1)
     at = Linearised(
         theta=theta,
-        covariance=sandwich if events else variance * root.half @ root.half.T,
-        sandwich=sandwich,
+        half=root.half,
+        sums=uneven if events else variance * np.eye(len(uneven)),
+        uneven_sums=uneven,
         noise=float(np.sqrt(variance)),
         freedom=events - 1 if events else freedom,
         events=events,
@@ -288,7 +301,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     )
     if not neighbours or events or problem.prior is not None:
         return at
-    return dependent(at, psi / stiffness, root.basis, root.half, series_of(problem))
+    return dependent(at, psi / stiffness, root.basis, series_of(problem))
 
 
 def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
@@ -297,11 +310,12 @@ def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
     Errors are independent and have the standard deviation of `at`.
     """
     root = inverse_root(J, np.flatnonzero(~at.at_bound))
-    covariance = at.noise**2 * root.half @ root.half.T
+    sums = at.noise**2 * np.eye(root.half.shape[1])
     return replace(
         at,
-        covariance=covariance,
-        sandwich=covariance,
+        half=root.half,
+        sums=sums,
+        uneven_sums=sums,
         freedom=at.freedom if at.events else at.freedom + more,
         null_directions=root.null,
         unidentifiable=np.asarray(root.moved.any(axis=0)),

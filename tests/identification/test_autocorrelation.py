@@ -135,7 +135,7 @@ def test_the_degrees_of_freedom_of_a_mean() -> None:
     assert at.dependence is not None
     phi = float(at.dependence.model.coefficients.sum())
     spread = (2 / (1 - phi)) ** 2 * (1 - phi**2) / 600 + 2 / 600
-    freedom = at.dependence.freedom(np.array([[1.0, 0.0]]))[0]
+    freedom = at.dependence.freedom(at.half[:1])[0]
     assert scipy.special.polygamma(1, freedom / 2) == pytest.approx(spread, rel=1 / 3)
     assert at.freedom <= freedom < at.independent.freedom
 

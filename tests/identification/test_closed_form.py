@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 
+import miho
 from experiments.app.build import build
 from experiments.app.compose import composed
 from miho import CurveFit, Dataset, Parameter, Space, minimize
@@ -90,3 +92,24 @@ def test_every_run_of_a_linear_model_knows_its_optimum() -> None:
     rms = np.sqrt(np.mean((fit(w) - data[data.output]) ** 2))
     assert experiment.facts["optimum"] ** 0.5 == pytest.approx(rms, rel=1e-12)
     assert "optimum" not in build(composed(["dataset=tire_lf", "dataset.n=100"])).facts
+
+
+@pytest.mark.parametrize("degree", [4, 5])
+def test_powers_of_calendar_years_are_fitted_as_powers_of_scaled_years(degree: int) -> None:
+    """The powers depend on each other to 1e-11 and 3e-14, of which a double leaves four digits
+    and one; the curve and its band depend on them by 1e-16 divided by these."""
+    names = "abcdef"[: degree + 1]
+    x = np.linspace(1990, 2020, 61)
+    scaled = (x - 2005) / 15
+    y = 1 + scaled + scaled**2 + np.random.default_rng(0).normal(0, 0.1, x.size)
+    terms = " + ".join(f"{name} * x**{k}" for k, name in enumerate(names))
+    powers = eval(f"lambda x, {', '.join(names)}: {terms}")
+    fit = miho.fit(powers, x, y, dict.fromkeys(names, (-1e12, 1e12)))
+    value, low, high = fit.predict(x)
+    basis, _ = np.linalg.qr(np.vander(scaled, degree + 1))
+    expected = basis @ (basis.T @ y)
+    variance = np.sum((y - expected) ** 2) / (x.size - degree - 1)
+    reach = scipy.stats.t.ppf(0.975, x.size - degree - 1) * np.sqrt(variance * (basis**2).sum(1))
+    assert value == pytest.approx(expected, abs=0.05 * reach.min())
+    assert high - low == pytest.approx(2 * reach, rel=0.05)
+    assert "linear in all parameters" in fit.optimum
