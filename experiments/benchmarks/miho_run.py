@@ -21,7 +21,6 @@ import pandas as pd
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
 from miho.optim import MIHO, RunRecord, Space, hyperband_table, minimize
 from miho.optim.seeds import stream
@@ -79,7 +78,6 @@ def plain_loop(
 def measure(quick: bool) -> Measured:
     """Measure one plain run, with several runs of the other forms between its rungs."""
     R, eta, seed = 1000 if quick else 10_000, 5, 0
-    register()
     fit = build(composed(["dataset=tire_lf", "optimizer=miho"])).problem
     alpha, force = fit.inputs[0], fit.dataset[fit.dataset.output]
     forms = {STEPS: MIHO(R=R, eta=eta, early_stopping=False), STOPPED: MIHO(R=R, eta=eta)}

@@ -71,7 +71,7 @@ def coverage(case: str, rows: int, sets: int) -> dict[str, object]:
         at = linearised(problem, theta)
         for kind, covariance in (("linearised", at.covariance), ("sandwich", at.sandwich)):
             hits[kind].append(off <= at.quantile() * np.sqrt(np.diag(covariance)))
-        noted += spread_is_uneven(problem, at)
+        noted += spread_is_uneven(problem, at, at)
     row: dict[str, object] = {"spread": case, "rows": rows}
     for kind, inside in hits.items():
         a, b = 100 * np.mean(inside, axis=0)

@@ -111,8 +111,9 @@ def closed_form(problem: CurveFit, theta: Array) -> Array:
     from miho.identification.conclusion import linear_optimum
 
     optimum = linear_optimum(problem)
-    better = optimum is not None and optimum[1] < problem.loss(theta[None])[0]
-    return optimum[0] if better else theta
+    if optimum is None or optimum[1] >= problem.loss(theta[None])[0]:
+        return theta
+    return optimum[0]
 
 
 def _observer(
