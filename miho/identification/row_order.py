@@ -19,7 +19,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +58,9 @@ def covering_rows(
     columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
     if len(columns) == 1:
         places = np.argsort(columns[0], kind="stable")
-        line = _Line(columns[0][places].tolist(), places, rng)
-        return pool[list(islice(line.covering(0, pool.size), most))]
-    return np.fromiter(islice(_covering(columns, pool, rng), most), order.dtype)
+        line = _on_line(columns[0][places].tolist(), places, _uniform(rng), 0, pool.size)
+        return pool[list(islice(line, most))]
+    return np.fromiter(islice(_covering(columns, pool, _uniform(rng)), most), order.dtype)
 
 
 def merged(order: Rows, covering: Rows, places: Rows) -> Rows:
@@ -82,18 +81,18 @@ def _unit(column: Array) -> Array:
     return (column / 2 - low) / (high - low) if high > low else np.zeros_like(column)
 
 
-def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Iterator[int]:
+def _covering(columns: list[Array], rows: Rows, chances: Iterator[float]) -> Iterator[int]:
     """All rows (n,) of a box with columns (n,) each, from its two halves in turn."""
     split = _split(columns) if rows.size > FEW else None
     if split is None:
         yield from rows.tolist()
         return
     sides = [split, ~split]
-    if _lower_first(np.count_nonzero(split) / rows.size, rng):
+    if _lower_first(np.count_nonzero(split) / rows.size, chances):
         sides.reverse()
     halves = []
     for (side,) in map(np.nonzero, sides):
-        halves.append(_covering([column[side] for column in columns], rows[side], rng))
+        halves.append(_covering([column[side] for column in columns], rows[side], chances))
     del columns, rows, split, sides, side  # keep one copy of a large pool in memory
     while (row := next(halves[0], None)) is not None:
         yield row
@@ -101,36 +100,35 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
     yield from halves[1]
 
 
-class _Line(NamedTuple):
-    """Boxes of one column, as parts of its sorted values.
-
-    `places` are the random places of the rows before sorting.
-    """
-
-    values: list[float]
-    places: Rows
-    rng: np.random.Generator
-
-    def covering(self, i: int, j: int) -> Iterator[int]:
-        """The places of the rows i to j, from the two halves of their box in turn."""
-        low, high = self.values[i], self.values[j - 1]
-        if j - i <= FEW or not high > low:
-            yield from sorted(self.places[i:j].tolist())
-            return
-        middle = low + (high - low) / 2
-        cut = bisect_right(self.values, middle if middle < high else low, i, j)
-        halves = [self.covering(cut, j), self.covering(i, cut)]
-        if _lower_first((j - cut) / (j - i), self.rng):
-            halves.reverse()
-        while (row := next(halves[0], None)) is not None:
-            yield row
-            halves.reverse()
-        yield from halves[1]
+def _on_line(
+    values: list[float], places: Rows, chances: Iterator[float], i: int, j: int
+) -> Iterator[int]:
+    """The `places` (N,) of the sorted values i to j, from the two halves of their box in turn."""
+    low, high = values[i], values[j - 1]
+    if j - i <= FEW or not high > low:
+        yield from sorted(places[i:j].tolist())
+        return
+    middle = low + (high - low) / 2
+    cut = bisect_right(values, middle if middle < high else low, i, j)
+    half = _on_line(values, places, chances, cut, j)
+    other = _on_line(values, places, chances, i, cut)
+    if _lower_first((j - cut) / (j - i), chances):
+        half, other = other, half
+    while (row := next(half, None)) is not None:
+        yield row
+        half, other = other, half
+    yield from other
 
 
-def _lower_first(upper: float, rng: np.random.Generator) -> bool:
+def _uniform(rng: np.random.Generator) -> Iterator[float]:
+    """Uniform random numbers, many of which are drawn at once."""
+    while True:
+        yield from rng.random(COVERING).tolist()
+
+
+def _lower_first(upper: float, chances: Iterator[float]) -> bool:
     """Whether the lower half comes first, if the upper half has this share of the rows."""
-    return bool(upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5))
+    return upper > 1 - RARE or (upper >= RARE and next(chances) < 0.5)
 
 
 def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
