@@ -104,12 +104,10 @@ class Symbol:
 
 ARGUMENT, CONSTANT = "argument", "constant"
 LOGIC = ("logical_and", "logical_or", "logical_not")
-CONDITION = (
-    "greater", "greater_equal", "less", "less_equal", "equal", "not_equal", *LOGIC,
-)  # fmt: skip
-BENDS = (*CONDITION, "sign", "minimum", "maximum", "absolute")
+CONDITION = {"greater", "greater_equal", "less", "less_equal", "equal", "not_equal", *LOGIC}
+BENDS = {*CONDITION, "sign", "minimum", "maximum", "absolute"}
 """Operations with discontinuous derivatives."""
-FINITE = (ARGUMENT, CONSTANT, *CONDITION)  # finite operations: 0 times them is 0
+FINITE = {ARGUMENT, CONSTANT, *CONDITION}  # finite operations: 0 times them is 0
 
 
 @cache
@@ -140,12 +138,12 @@ def operation(name: str, *arguments: Any) -> Symbol:
 
 def _check_conditions(name: str, symbols: Sequence[Symbol]) -> None:
     """Refuse operations for which NumPy treats bools differently from 1 and 0."""
-    conditions = [symbol.operation in CONDITION for symbol in symbols]
-    logical = [symbol.operation in CONDITION or symbol.number in (0, 1) for symbol in symbols]
+    logical = (symbol.operation in CONDITION or symbol.number in (0, 1) for symbol in symbols)
     if name in LOGIC:
         fitting = all(logical)
     else:
-        fitting = not all(conditions) and (name != "where" or logical[0])
+        conditions = all(symbol.operation in CONDITION for symbol in symbols)
+        fitting = not conditions and (name != "where" or next(logical))
     if not fitting:
         raise NotAFormulaError(f"{name} does not accept these conditions or numbers")
 
