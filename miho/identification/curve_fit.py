@@ -223,8 +223,9 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def _mean(self, values: Array) -> float:
         """The mean of `values` (N,), weighted as the loss."""
-        squares = None if self.weights is None else self.weights**2
-        return float(np.average(values, weights=squares))
+        if self.weights is None:
+            return float(values.mean())
+        return float(np.average(values, weights=self.weights**2))
 
     @cached_property
     def inputs(self) -> tuple[Array, ...]:
