@@ -165,18 +165,6 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
     return np.where(redrawn, starts, best)
 
 
-def alike(space: Space) -> list[list[int]]:
-    """Positions of parameters with equal units and bounds, such as the widths of two peaks.
-
-    Empty unless there are two such groups: a single value is as easily drawn anew as exchanged.
-    """
-    groups: dict[tuple[str, str, float, float], list[int]] = {}
-    for k, p in enumerate(space.parameters):
-        groups.setdefault((p.unit, p.scale, p.low, p.high), []).append(k)
-    several = [group for group in groups.values() if len(group) > 1]
-    return several if len(several) > 1 else []
-
-
 def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     """Convert uniform shares u (n, d) of the ranges to shares whose sizes are log-uniform.
 

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.brackets import alike
 from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle
 from miho.optim.space import Space
@@ -26,12 +25,12 @@ GOLDEN = (5**0.5 - 1) / 2
 def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Array:
     """Starts (n, d) at the best minimum (d,), with values exchanged among parameters.
 
-    A minimum may have the parameters of one peak at another one. Values are exchanged among
-    parameters that are `alike`, in every second start in the same way for position, height and
-    width. The first start has them in reverse order, as has each start that would be the minimum.
+    A minimum may have the parameters of one peak at another one. Values are exchanged among the
+    groups of `Space.alike`, in every second start in the same way for position, height and width.
+    The first start has them in reverse order, as has each start that would be the minimum.
     """
     starts, keys = np.tile(best, (n, 1)), rng.random((n, best.size))
-    for group in alike(space):
+    for group in space.alike:
         group_keys = keys[:, group]
         group_keys[::2] = keys[::2, : len(group)]
         starts[:, group] = best[group][np.argsort(group_keys, axis=1)]

@@ -6,7 +6,6 @@ import contextlib
 
 import numpy as np
 
-from miho.optim.brackets import alike
 from miho.optim.evidence import EPSILON, Agreement, in_optimum
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNSettings, MIHOGNState, at_bound
@@ -79,7 +78,7 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     turn = float(state.minima.loss[best]), state.passed
     if not state.challenged or state.prepared == turn:
         return
-    state.near, after = None, state.passed - bool(alike(state.space))
+    state.near, after = None, state.passed - bool(state.space.alike)
     if after == 0:
         state.near = _neighbours(state, oracle)
     elif after > 0 and after % 2 and (state.periods or state.minima.loss.size > 1):

@@ -30,7 +30,7 @@ from miho.compiled.phases import (
     make_room,
     nearness,
 )
-from miho.optim.brackets import alike, around, draw_starts
+from miho.optim.brackets import around, draw_starts
 from miho.optim.credibility import credible, is_tested, prepare_challenge, solves
 from miho.optim.evidence import ENOUGH, in_optimum, is_rounding
 from miho.optim.gauss_newton_blocks import run_phases
@@ -259,7 +259,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """Starts near the best minimum, some of them from `starts` (n, d), and their level."""
         best, last = state.minima.x[state.best_minimum], state.level_rows.size - 1
         coordinates = state.box.origin + state.box.width * best
-        if state.passed == 0 and alike(state.space):
+        if state.passed == 0 and state.space.alike:
             from miho.optim.challenges import exchanged
 
             return exchanged(coordinates, state.space, self.min_candidates, state.rng), last
@@ -354,7 +354,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if len(oracle.starts.descents) >= ENOUGH:
             agreement = oracle.starts.agreement(oracle.best)
             agreed = agreement.enough and credible(self, state, oracle, agreement)
-        challenges = self.challenges + bool(alike(state.space))
+        challenges = self.challenges + bool(state.space.alike)
         enough = agreed and state.passed >= challenges and is_tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.traits.rounding, oracle.traits.resolution)
         state.challenged = not enough and (agreed or _is_lonely(state, oracle))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -274,6 +274,18 @@ class Space:
         return self.encode(self.low), self.encode(self.high)
 
     @cached_property
+    def alike(self) -> list[list[int]]:
+        """Positions of parameters with equal units and bounds, such as the widths of two peaks.
+
+        Empty unless there are two such groups: a single value is as easily drawn anew as exchanged.
+        """
+        groups: dict[tuple[str, str, float, float], list[int]] = {}
+        for k, p in enumerate(self.parameters):
+            groups.setdefault((p.unit, p.scale, p.low, p.high), []).append(k)
+        several = [group for group in groups.values() if len(group) > 1]
+        return several if len(several) > 1 else []
+
+    @cached_property
     def scales(self) -> dict[int, tuple[Array, ...]]:
         """Cache of `miho.optim.brackets.by_scale`, by decades."""
         return {}
@@ -366,7 +378,7 @@ class Space:
     @cached_property
     def _common(self) -> Array:
         """First common initial configurations, which several parts of a fit use."""
-        return self.sample(COMMON, stream("initial", *self.seed))
+        return self.quantiles(_common_shares(len(self), *self.seed))
 
     def seeded(self, *seed: Part) -> Space:
         """This space with other common initial configurations."""
@@ -374,3 +386,9 @@ class Space:
         vars(space).update({key: value for key, value in vars(self).items() if key not in SEEDED})
         vars(space)["seed"] = seed
         return space
+
+
+@lru_cache(maxsize=256, typed=True)
+def _common_shares(d: int, *seed: Part) -> Array:
+    """Uniform random numbers (COMMON, d) of the common initial configurations with this seed."""
+    return stream("initial", *seed).random((COMMON, d))

@@ -10,7 +10,6 @@ from experiments.check.families import drawn
 from miho import MIHOGN, Budget
 from miho.compiled.gauss_newton_candidates import Minima
 from miho.optim import Parameter, Space
-from miho.optim.brackets import alike
 from miho.optim.challenges import exchanged, scanned
 from miho.optim.oracle import Oracle
 
@@ -24,17 +23,17 @@ def test_values_are_exchanged_among_parameters_with_equal_bounds() -> None:
     names, rng = ("m", "a", "c", "w", "b", "d", "v"), np.random.default_rng(1)
     highs = (1, 5, 100, 9, 5, 100, 9)
     space = Space(tuple(Parameter(k, "", 0, high) for k, high in zip(names, highs, strict=True)))
-    assert alike(space) == [[1, 4], [2, 5], [3, 6]]
-    assert alike(Space(space.parameters[:5])) == [], "two heights only"
+    assert space.alike == [[1, 4], [2, 5], [3, 6]]
+    assert Space(space.parameters[:5]).alike == [], "two heights only"
     units = [replace(p, unit=p.name) for p in space.parameters]
-    assert alike(Space(tuple(units))) == []
+    assert Space(tuple(units)).alike == []
     best = np.arange(7.0)
     for n in (1, 40):
         starts = exchanged(best, space, n, rng)
         assert starts[0].tolist() == [0, 4, 5, 6, 1, 2, 3]
         assert not (starts == best).all(axis=1).any()
         assert (starts[:, 0] == 0).all()
-        for group in alike(space):
+        for group in space.alike:
             assert (np.sort(starts[:, group], axis=1) == best[group]).all()
     assert len(np.unique(starts, axis=0)) == 7, "all exchanges but none"
 
