@@ -213,11 +213,12 @@ def _variance(errors: Array, weights: Array) -> float:
     e_i^2 e_j^2 / (1 + 2 r^2) estimates the product of two variances. The covariance of e_i^2 and
     e_j^2 is 2 r^2 times that product.
     """
-    total = 2 * float(np.sum(errors**4)) / 3
+    squares, total = errors**2, 2 * float(np.add.reduce(errors**4)) / 3
     for lag, shared in (
         (1, weights[1:, :-1] * weights[:-1, 1:]),
         (2, weights[2:, :-2] * weights[:1, 2:]),
     ):
         r = np.add.reduce(shared) ** 2
-        total += 2 * float(np.sum(2 * r / (1 + 2 * r) * errors[:-lag] ** 2 * errors[lag:] ** 2))
+        shares = 2 * r / (1 + 2 * r)
+        total += 2 * float(np.add.reduce(shares * squares[:-lag] * squares[lag:]))
     return total / errors.size**2

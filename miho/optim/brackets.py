@@ -134,7 +134,7 @@ def draw_starts(
 
     def draw(kind: str, shares: Array) -> Array:
         if kind == "own":
-            return space.sample(len(shares), rng)
+            return space.quantiles(rng.random(shares.shape))
         if kind == "scale":
             shares = by_scale(shares, space, DECADES[turn % len(DECADES)])
         return np.minimum(np.maximum(low + (high - low) * shares, low), high)

@@ -295,7 +295,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     def _record_end(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the end of a bracket's last candidate: known, new, stalled or unusable."""
         c = state.candidates
-        loss, best = float(c.loss[0]), float(state.minima.loss.min(initial=math.inf))
+        loss, best = float(c.loss[0]), min(state.minima.loss.tolist(), default=math.inf)
         better = not in_optimum(loss, best, oracle.traits.resolution)
         if c.stage[0] == AT_KNOWN:
             self._record_return(state, oracle)

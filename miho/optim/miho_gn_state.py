@@ -166,7 +166,7 @@ class MIHOGNState:
     @property
     def best_minimum(self) -> int:
         """Position of the best known minimum."""
-        return int(np.argmin(self.minima.loss))
+        return int(self.minima.loss.argmin())
 
     @property
     def d(self) -> int:
