@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -219,7 +220,7 @@ class Traits:
         """Largest loss that is rounding and counts as 0."""
         return self._problem.rounding
 
-    @property
+    @cached_property
     def resolution(self) -> float:
         """Difference up to which two losses count as equal."""
         return max(self._problem.rounding, self._problem.resolution)
