@@ -245,6 +245,19 @@ def test_with_a_start_a_bound_may_be_open() -> None:
         miho.fit(decay, t, y, half)
 
 
+def test_a_picofarad_is_not_at_the_bound_of_a_farad() -> None:
+    def charge(t: Any, V: Any, C: Any) -> Any:
+        return V * (1 - np.exp(-t / (1e5 * C)))
+
+    time = np.linspace(0, 2e-5, 60)
+    volts = charge(time, 5, 4.7e-11) + 0.02 * noise
+    _, covariance = curve_fit(lambda t, V, C: charge(t, V, 1e-11 * C), time, volts, [5, 5])
+    fit = miho.fit(charge, time, volts, {"V": (0, 10), "C": (0, 1)}, compiled=False)
+    errors = np.sqrt(np.diag(covariance)) * [1, 1e-11]
+    assert fit.parameters["standard_error"].to_numpy() == pytest.approx(errors, rel=1e-4)
+    assert fit.caveats == []
+
+
 def test_a_model_of_ours_and_a_data_frame() -> None:
     alpha = np.linspace(-0.15, 0.15, 200)
     truth = np.array([12.0, 1.5, 4000.0, 0.002, 20.0])

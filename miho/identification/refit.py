@@ -24,10 +24,10 @@ squares."""
 FINE = 1e5
 """A range is too wide as a scale if it changes the predictions by this multiple of the output."""
 AT_BOUND = 1e-10
-"""A parameter is at a bound if it is this close, as a fraction of its range: the range of a
-parameter without bounds is a million times its start."""
-ROUNDING = 1e-12
-"""Increase of the sum of squares, as a fraction, that counts as rounding."""
+"""A parameter this close to a bound, as a fraction of its range, is moved to the bound."""
+HARMLESS = 1e-6
+"""Increase of the sum of squares, as a fraction, that such a move may cost: simulations have errors
+of rounding, and a picofarad is not at a bound of 0."""
 AT_OPTIMUM = 1e-16
 """A start is the optimum if the linear model predicts a gain of less than this fraction of the sum
 of squares, which is a distance of 1e-8 sqrt(N) standard errors."""
@@ -248,7 +248,7 @@ class _Objective:
         if not np.array_equal(theta, self.best):
             with np.errstate(over="ignore"):
                 cost = float(np.sum(self._residuals_at(theta) ** 2))
-            if cost <= (1 + ROUNDING) * self.costs[-1]:
+            if cost <= (1 + HARMLESS) * self.costs[-1]:
                 self.best = theta
 
     def end(self, converged: bool) -> Refit:

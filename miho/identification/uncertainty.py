@@ -13,11 +13,12 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.dependence import Dependence, dependent, events_of, series_of
 from miho.identification.inverse_root import EXACT, INVOLVED, SINGULAR, inverse_root
 from miho.identification.line_wrapping import with_unit
-from miho.identification.refit import AT_BOUND
 from miho.models.model import Model
 from miho.optim.space import Space
 from miho.quantities import Array
 
+ROUNDING = 1e-14
+"""Rounding of a parameter at its bound, as a fraction of its range."""
 ALONE = 1e-8
 """A row alone determines its prediction if at most this fraction of its error is left."""
 
@@ -391,8 +392,8 @@ def parameters_at_bounds(
 
 
 def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:
-    """Marks (d,) of parameters at a bound, in the scales of the space."""
+    """Marks (d,) of parameters at a bound, where `refit` ends to rounding."""
     low, high = space.bounds
-    slack = AT_BOUND * (high - low)
+    slack = ROUNDING * (high - low)
     at = space.encode(theta)
     return np.asarray((at - low <= slack) | (high - at <= slack))
