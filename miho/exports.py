@@ -53,7 +53,11 @@ def at_first_use(
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(module), *sources()})
+        from pkgutil import iter_modules
+
+        packages = (part.name for part in iter_modules(module.__path__) if part.ispkg)
+        hidden = {"TYPE_CHECKING", at_first_use.__name__}
+        return sorted({*vars(module), *sources(), *packages} - hidden)
 
     return get, names
 

@@ -84,6 +84,11 @@ def test_what_a_package_passes_on_is_not_called_as_a_module_of_it(name: str) -> 
     assert not modules & set(package.__all__) - at_once
 
 
+def test_completion_lists_packages_and_no_means_of_import() -> None:
+    assert {"analysis", "methods", "online", "testing", "vehicle"} <= set(dir(miho))
+    assert not {"TYPE_CHECKING", "at_first_use"} & set(dir(miho))
+
+
 def test_modules_are_attributes_and_nothing_else_is() -> None:
     assert (
         miho.vehicle.models.tire.Pacejka is importlib.import_module("miho.vehicle.models").Pacejka
