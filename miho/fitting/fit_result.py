@@ -130,8 +130,7 @@ class Fit(Remade):
     def uncertainty(self) -> Linearised:
         """Uncertainty of `theta`, that is of shares of constrained parameters: see `covariance`.
 
-        It allows for correlated errors of neighbouring rows. Raises ValueError if there are no more
-        rows than parameters.
+        It allows for correlated errors of neighbouring rows. Raises ValueError if rows are too few.
         """
         from miho.identification.uncertainty import linearised
 
@@ -158,8 +157,7 @@ class Fit(Remade):
 
         The table is empty if there is only one optimum. Chi-squared of each row exceeds the
         smallest by no more than an interval of `level` allows; if the noise is unknown, the
-        residuals estimate its variance. Raises ValueError if there are no more rows than
-        parameters.
+        residuals estimate its variance. Raises ValueError if rows are too few.
 
         Returns
         -------
@@ -182,7 +180,8 @@ class Fit(Remade):
             A row per parameter, with columns `value`, `standard_error`, `low`, `high`, `unit` and
             `status`. Intervals are linearised at `level`. If the data cannot distinguish several
             optima (`alternatives`), the intervals span all of them, and standard errors refer to
-            this one. Standard errors are NaN if there are no more rows than parameters.
+            this one. Standard errors are NaN if rows are too few: no more than parameters, or
+            fewer with a known `sigma`.
         """
         import pandas as pd
 
@@ -191,7 +190,7 @@ class Fit(Remade):
 
         try:
             optima = self._optima
-        except ValueError:  # as many parameters as rows: values without errors
+        except ValueError:  # too few rows: values without errors
             frame = pd.DataFrame({"value": self.values})
             return frame.assign(standard_error=math.nan, low=math.nan, high=math.nan)
         tables, ends = [], []
@@ -207,8 +206,7 @@ class Fit(Remade):
     def covariance(self) -> pd.DataFrame:
         """Covariance of all parameters by name, with zeros for fixed ones.
 
-        NaN marks parameters without a finite standard error. Raises ValueError if there are no more
-        rows than parameters.
+        NaN marks parameters without a finite standard error. Raises ValueError if rows are too few.
         """
         import pandas as pd
 
@@ -333,7 +331,7 @@ class Fit(Remade):
         -------
         Prediction
             `value`, `low` and `high`, (N,) each, in the unit of the output. The ends are NaN if
-            there are no more rows than parameters.
+            standard errors are.
 
         Raises
         ------
@@ -382,7 +380,7 @@ class Fit(Remade):
         """Curve at input columns (N,), and the half width of its interval."""
         try:
             at = self.uncertainty
-        except ValueError:  # as many parameters as rows
+        except ValueError:  # too few rows
             value = self.problem.model.predict(self.theta[None], *columns)[0]
             return value, np.full(value.shape, np.nan)
         return at.band(self.problem.model, self.level, *columns)

@@ -194,8 +194,11 @@ def percentile_intervals(replicates: Array, units: int, freedom: int, level: flo
 
     Plain percentiles are too narrow for small samples. Student's t, and the `freedom` of the
     `units` drawn (rows or events), widen a normal interval by a factor, and these percentiles are
-    further out by the same factor (Hesterberg, The American Statistician 69, 2015).
+    further out by the same factor (Hesterberg, The American Statistician 69, 2015). Without freedom
+    they are NaN.
     """
+    if not freedom:
+        return np.full((replicates.shape[1], 2), np.nan)
     reach = math.sqrt(units / freedom) * scipy.special.stdtrit(freedom, (1 + level) / 2)
     tail = float(scipy.special.ndtr(-reach))
     return np.quantile(replicates, [tail, 1 - tail], axis=0).T

@@ -372,7 +372,7 @@ def _listed(words: Sequence[str]) -> str:
 
 def sigma_disagrees(problem: CurveFit, at: Linearised) -> list[str]:
     """A sentence if the errors contradict a known sigma."""
-    if not at.noise_known:
+    if not (at.noise_known and at.freedom):
         return []
     squares, freedom = float(np.sum(problem.errors(at.theta) ** 2)) / at.noise**2, at.freedom
     tails = scipy.special.chdtr(freedom, squares), scipy.special.chdtrc(freedom, squares)

@@ -275,7 +275,7 @@ class Report:
     @property
     def residual_standard_deviation(self) -> float:
         """Square root of the sum of squared errors over `freedom`, in the unit of the output."""
-        return self.error * math.sqrt(len(self.problem.dataset) / self.freedom)
+        return self.error * math.sqrt(len(self.problem.dataset) / max(self.freedom, 1))
 
     @cached_property
     def irreducible(self) -> Irreducible:

@@ -262,8 +262,8 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     Raises
     ------
     ValueError
-        If there are not more rows than parameters, if a derivative is not finite, or if a robust
-        loss treats nearly all rows as outliers.
+        If there are not more rows than parameters (with a known noise, fewer), if a derivative is
+        not finite, or if a robust loss treats nearly all rows as outliers.
 
     References
     ----------
@@ -274,10 +274,10 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     # Parameters at a bound are fixed; the others cost a degree of freedom each.
     at_bound = at_bounds(problem.space, theta)
     count = int((~at_bound).sum())
-    if errors.size <= count:
+    if errors.size < count + (not problem.noise_known):
         raise ValueError(
             f"{problem.name}: {errors.size} rows for {count} parameters; "
-            "uncertainty needs more rows than parameters"
+            "uncertainty needs more rows than parameters, or as many and their sigma"
         )
     exact = problem.model.jacobian_cost is None and set(problem.linear) == set(problem.space.names)
     root = inverse_root(J, np.flatnonzero(~at_bound), EXACT if exact else SINGULAR)

@@ -143,6 +143,20 @@ def test_uncertainty_needs_more_rows_than_parameters() -> None:
         linearised(fit, np.array([1.0, 1.0]))
 
 
+def test_a_known_sigma_needs_no_more_rows_than_parameters() -> None:
+    def decay(t, a, b):
+        return a * np.exp(-b * t)
+
+    t, y, sigma = np.array([0.0, 1.0]), np.array([3.0, 1.0]), np.array([0.1, 0.05])
+    _, expected = scipy.optimize.curve_fit(decay, t, y, [2, 1], sigma=sigma, absolute_sigma=True)
+    fit = miho.fit(decay, t, y, {"a": (0, 10), "b": (0, 5)}, sigma=sigma)
+    assert fit.covariance.to_numpy() == pytest.approx(expected, rel=1e-6)
+    report = fit.report(replicates=5)
+    assert report.parameters["profile high"].tolist() == pytest.approx([3.196, 1.2195], rel=1e-4)
+    assert report.parameters["bootstrap low"].isna().all()
+    assert report.notes == []
+
+
 @pytest.mark.slow
 def test_the_robust_optimum_and_its_standard_error() -> None:
     """The optimum is scipy's; the asymptotic error holds over 300 data sets to 4 standard errors
