@@ -60,8 +60,12 @@ def test_it_is_scipys_fit_without_a_start(compiled: bool) -> None:
     assert "independent searches" in fit.optimum
     prediction = fit.predict([0.5, 1.0])
     gradient = np.array([np.exp(-theta[1] * 0.5), -0.5 * theta[0] * np.exp(-theta[1] * 0.5)])
-    half = fit.uncertainty.quantile() * np.sqrt(gradient @ covariance @ gradient)
-    assert prediction.high[0] - prediction.value[0] == pytest.approx(half, rel=1e-3)
+    error = np.sqrt(gradient @ covariance @ gradient)
+    for level, ends in ((0.95, prediction), (0.68, fit.predict([0.5], level=0.68))):
+        half = fit.uncertainty.quantile(level) * error
+        assert ends.high[0] - ends.value[0] == pytest.approx(half, rel=1e-3)
+    with pytest.raises(ValueError, match=r"level is 95; expected a number between 0 and 1"):
+        fit.predict([0.5], level=95)
 
 
 @pytest.mark.parametrize("compiled", [True, False])

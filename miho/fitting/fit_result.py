@@ -319,13 +319,15 @@ class Fit(Remade):
         """All remarks of the report on search, data and model, a sentence each."""
         return self.report().notes
 
-    def predict(self, x: Any) -> Prediction:
-        """Predict the curve at given inputs, with its confidence interval at `level`.
+    def predict(self, x: Any, level: float | None = None) -> Prediction:
+        """Predict the curve at given inputs, with its confidence interval.
 
         Parameters
         ----------
         x : array_like, tuple, mapping or DataFrame
             Input columns, (N,) each, as in `miho.fit`; for a tire in ISO-W signs.
+        level : float, optional
+            Confidence level between 0 and 1, by default that of the fit, 0.95.
 
         Returns
         -------
@@ -336,20 +338,23 @@ class Fit(Remade):
         Raises
         ------
         ValueError
-            If most Fz of a tire are negative.
+            If most Fz of a tire are negative, or `level` is not between 0 and 1.
         """
+        level = self.level if level is None else level
+        if not 0 < level < 1:
+            raise ValueError(f"level is {level!r}; expected a number between 0 and 1")
         inputs = inputs_of(self.problem.model, x)
         signed = signed_model(self.problem.model.whole)
         if signed is not None:
             signed.check_signs(inputs)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
         if not self.problem.model.ordered:
-            value, reach = self._band(*columns)
+            value, reach = self._band(*columns, level=level)
         else:
             from miho.models.time_step import finer
 
             more, rows = finer(self.problem.model.whole, self.problem.inputs, columns)
-            value, reach = (values[rows] for values in self._band(*more))
+            value, reach = (values[rows] for values in self._band(*more, level=level))
         return Prediction(value, value - reach, value + reach)
 
     def to_tir(self, path: str | os.PathLike[str]) -> None:
@@ -376,14 +381,14 @@ class Fit(Remade):
 
         return sample_posterior(self.problem, self.theta, **settings)
 
-    def _band(self, *columns: Array) -> tuple[Array, Array]:
+    def _band(self, *columns: Array, level: float | None = None) -> tuple[Array, Array]:
         """Curve at input columns (N,), and the half width of its interval."""
         try:
             at = self.uncertainty
         except ValueError:  # too few rows
             value = self.problem.model.predict(self.theta[None], *columns)[0]
             return value, np.full(value.shape, np.nan)
-        return at.band(self.problem.model, self.level, *columns)
+        return at.band(self.problem.model, level or self.level, *columns)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Plot the data and the curve with its interval.

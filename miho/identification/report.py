@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -98,12 +98,6 @@ class Report:
     moving: int = 0
     found_by: str = ""
     others: tuple[Linearised, ...] = ()
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name):
-            now = "; it is report.conclusion now" if name == "standing" else ""
-            raise AttributeError(f"Report has no attribute {name!r}{now}")
 
     @cached_property
     def space(self) -> Space:
