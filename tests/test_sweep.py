@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig
 
-from experiments.app.build import ConfigError
+from experiments.app.build import ConfigError, plain
 from experiments.app.compose import composed
 from experiments.app.console import SOME_FAILED
 from experiments.app.plan import Request, requests, sweep_settings
@@ -148,6 +148,11 @@ def test_a_model_that_cannot_be_tried_is_lost_alone(tmp_path: Path, deed: str) -
     model.write_text(f"{MODEL}    return Sy - B * D * (alpha - Sx)\n")
     (request,) = runs_of(tmp_path / "runs", *overrides, seeds=1)
     assert statuses(run([request], SweepConfig()).states) == [Status.RAN]
+
+
+def test_paths_have_one_spelling() -> None:
+    spellings = [composed(["dataset=csv", f"dataset.path={p}a.csv"]) for p in ("", "./", ".//")]
+    assert [plain(cfg)["dataset"]["path"] for cfg in spellings] == ["a.csv"] * 3
 
 
 def test_a_seed_below_zero_is_one_line(tmp_path: Path) -> None:

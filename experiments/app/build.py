@@ -99,8 +99,17 @@ def plain(cfg: Settings) -> Mapping[str, Any]:
     for key in (*PARTS, *MEANS):
         node = MISSING if OmegaConf.is_missing(cfg, key) else cfg[key]
         whole = OmegaConf.is_config(node)
-        setting[key] = OmegaConf.to_container(node, resolve=True) if whole else node
+        value = OmegaConf.to_container(node, resolve=True) if whole else node
+        setting[key] = _one_spelling(value)
     return setting
+
+
+def _one_spelling(node: Any, key: str = "") -> Any:
+    """The settings of a node with one spelling of each path: `./my.csv` is `my.csv`."""
+    if isinstance(node, dict):
+        return {name: _one_spelling(value, str(name)) for name, value in node.items()}
+    is_path = key == "path" and isinstance(node, str) and node
+    return Path(node).as_posix() if is_path else node
 
 
 def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
