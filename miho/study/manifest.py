@@ -54,7 +54,8 @@ def write_manifest(
         place = [identity.problem, identity.optimizer, identity.id]
         entries[words] = {"place": place, "config": numbers[id(identity.config)]}
     values = {"parts": [*map(json.loads, parts)], "configs": [*map(json.loads, configs)]}
-    about = {"command": command, "overrides": list(overrides), **values, "runs": entries}
+    about = {"command": command, "overrides": list(overrides), "root": str(root), **values}
+    about["runs"] = entries
     write_text(path, canonical(about) + "\n")
 
 
@@ -74,15 +75,14 @@ def sweep_commands(root: Path) -> list[list[str]]:
         with contextlib.suppress(OSError, *MALFORMED):
             about = decoded(read_bytes(str(path), LARGEST))
             command = str(about.get("command", IDENTIFY)).split()
-            words = ["python", "-m", *command, *(_at(root, str(o)) for o in about["overrides"])]
+            overrides = [str(word) for word in about["overrides"]]
+            typed = [word for word in overrides if word.startswith("root=")]
+            place = typed[-1][5:] if typed else about.get("root", root)
+            if "$" not in str(place) and Path(place).resolve() != root.resolve():
+                overrides = [word for word in overrides if word not in typed] + [f"root={root}"]
+            words = ["python", "-m", *command, *overrides]
             sweeps += [words] * (words not in sweeps)
     return sweeps
-
-
-def _at(root: Path, word: str) -> str:
-    key, _, place = word.partition("=")
-    moved = key == "root" and "$" not in place and Path(place).resolve() != root.resolve()
-    return f"root={root}" if moved else word
 
 
 def first_names(names: Sequence[str]) -> str:

@@ -176,3 +176,9 @@ def test_the_sweeps_of_a_root_are_known_by_their_overrides(tmp_path: Path) -> No
     for root in (tmp_path / "moved", tmp_path):  # a sweep of a root that was moved, and the next
         write_manifest(tmp_path, ["seed=1", f"root={root}"], {})
     assert [words[-1] for words in sweep_commands(tmp_path)[2:]] == [f"root={tmp_path}"]
+
+
+def test_the_command_of_a_moved_root_names_it_though_nobody_typed_it(tmp_path: Path) -> None:
+    write_manifest(tmp_path / "runs", ["seed=0"], {})
+    moved = (tmp_path / "runs").rename(tmp_path / "moved")
+    assert sweep_commands(moved)[0][4:] == ["seed=0", f"root={moved}"]
