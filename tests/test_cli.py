@@ -460,6 +460,18 @@ def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Pat
     assert words == ["python", "-m", "experiments.report", str(tmp_path / "runs"), "--trust"]
     assert f"--trust allows it to run {own / 'decay.py'}" in hint
     assert "Mine." in identify("--config-dir", str(own), "experiment", "--help")[1]
+    path = f"dataset.path={own / 'my.csv'}"  # with a blank
+    listed = identify(*chosen[:3], path, "-m", "sweep.dry_run=true")[1]
+    assert shlex.split(listed.splitlines()[0])[:4] == ["to", "do:", "experiment=mine", path]
+
+
+def test_an_interrupt_during_the_imports_has_no_traceback() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", "import experiments; raise KeyboardInterrupt"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert ended.returncode == -signal.SIGINT
+    assert ended.stderr == "interrupted by SIGINT\n"
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -199,7 +200,7 @@ def _planned(
     def plan(setting: tuple[str, ...], config: DictConfig, lose: bool) -> None:
         same = [job for job in jobs if job.setting == setting]
         cfg = job_config(_copied(_of_job(same[0], config)), config.hydra)
-        words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
+        words = " ".join(_for_shell(text) for text in setting if not _is_of(text, HOW_TO_RUN))
         alike: dict[str, dict[int, Settings]] = {}  # by job; ${seed} and ${hydra:...} make groups
         for job in same:
             cfg.seed = _of_job(job, config).seed
@@ -216,6 +217,11 @@ def _planned(
         if len(composed) > 1 and all(request.lost for request in planned.values()):
             plan(*next(iter(composed.items())), lose=False)  # raises the error that they share
     return [planned[job.number] for job in jobs]
+
+
+def _for_shell(text: str) -> str:
+    """An override as it is typed: blanks, which Hydra's sweeper escapes, are between quotes."""
+    return shlex.quote(text.replace("\\ ", " ")) if "\\" in text else text
 
 
 def _copied(config: DictConfig) -> DictConfig:
