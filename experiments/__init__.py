@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from types import TracebackType
 
 REMOVED = {
     "experiments.benchmarks.growth": "use experiments.benchmarks.arrival",
@@ -29,4 +30,15 @@ class RemovedCommands:
             raise ModuleNotFoundError(f"{name} was removed; {REMOVED[name]}")
 
 
+def print_uncaught(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """Print an exception that nothing caught; a Ctrl-C during the imports has no traceback."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted by SIGINT", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
 sys.meta_path.append(RemovedCommands)
+sys.excepthook = print_uncaught
