@@ -246,7 +246,8 @@ def _legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
     back = [style for style in styles.values() if style == style.muted]
     handles = [Line2D([], [], label=style.name, **style.line) for style in front]
     if back:
-        handles.append(Line2D([], [], label=f"{len(back)} others", **back[0].line))
+        label = back[0].name if len(back) == 1 else f"{len(back)} others"
+        handles.append(Line2D([], [], label=label, **back[0].line))
     figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=2.6)
 
 

@@ -90,6 +90,10 @@ def test_each_problem_has_a_panel_and_an_unknown_optimum_a_star() -> None:
     assert all(len(ax.lines) == 4 for ax in figure.axes)
 
 
+def test_a_single_method_in_the_background_has_its_name() -> None:
+    assert "Hyperband" in texts(error_curves(*arena(["miho", "hyperband"], 3, 2)))
+
+
 def test_a_share_is_drawn_as_a_step() -> None:
     frame = pd.DataFrame({"optimizer": "miho", "tau": [1.0, 10.0, 100.0], "share": [0.2, 0.4, 0.8]})
     ax = plot_shares(frame, "tau", Figure().subplots())
