@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,8 @@ class Runs:
     Attributes
     ----------
     runs : DataFrame
-        One row per finished run, with a column for each setting that differs, for example
-        `optimizer.R` or `dataset.n`. `error` is the square root of the loss in `unit`,
+        One row per finished run, by problem, method and seed, with a column for each setting that
+        differs, such as `optimizer.R`. `error` is the square root of the loss in `unit`,
         `irreducible` an estimate of the smallest error of any model of the same inputs, `optimum`
         the smallest error in the space if it is known (else NaN), `dimension` the number of
         parameters and `theta.<name>` their values. `seconds` and `cpu_seconds` are of the method
@@ -121,11 +122,9 @@ class Runs:
 def load_runs(root: str | Path) -> Runs:
     """Read all finished runs below `root`; damaged runs are listed and skipped.
 
-    Every file of every run is read and verified by its checksum, so that neither table contains
-    numbers of a damaged run. Curves are kept as text until they are requested.
-    Later changes on disk are not seen. Checksums detect damage, not forgery: a malformed
-    `curve.json` with a valid checksum is listed and omitted from `curves`, but its row in `runs`
-    remains.
+    Every file of every run is verified by its checksum, so no table contains numbers of a damaged
+    run. Checksums detect damage, not forgery: a malformed `curve.json` with a valid checksum is
+    listed and omitted from `curves`, but its row in `runs` remains.
 
     Parameters
     ----------
@@ -145,10 +144,8 @@ def load_runs(root: str | Path) -> Runs:
     top = Path(root)
     if not top.is_dir():
         raise FileNotFoundError(f"{top}: no such folder of runs; run something first")
-    rows: list[dict[str, Any]] = []
-    curves: list[bytes] = []
+    read: list[tuple[dict[str, Any], bytes, RunRequest]] = []
     skipped: list[Damage] = []
-    requests: list[RunRequest] = []
     configs: dict[str, Parts] = {}  # by the digest of their file; seeds share it
     for folder in _folders(str(top), DEPTH):
         if isinstance(folder, Damage):
@@ -164,14 +161,21 @@ def load_runs(root: str | Path) -> Runs:
         except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
             skipped.append(Damage(folder, f"{folder}: {type(error).__name__}: {error}"))
         else:
-            rows.append(row)
-            curves.append(without_theta(files[CURVE]))
-            requests.append(request)
+            read.append((row, without_theta(files[CURVE]), request))
+    # In the order of seeds, because methods are compared seed by seed.
+    methods = groupby(read, lambda run: Path(run[0]["folder"]).parent)
+    read = [run for _, runs in methods for run in sorted(runs, key=_seed)]
+    rows, curves, requests = zip(*read, strict=True) if read else ((), (), ())
     table = pd.DataFrame(rows) if rows else pd.DataFrame(columns=RUN_COLUMNS)
     columns = differing(requests)
     table = pd.concat([table[KEYS], columns, table.drop(columns=KEYS)], axis=1)
     keys = table[[*KEYS, *columns, "folder"]]
-    return Runs(table, top, tuple(skipped), keys, tuple(curves), tuple(requests))
+    return Runs(table, top, tuple(skipped), keys, curves, requests)
+
+
+def _seed(run: tuple[dict[str, Any], bytes, RunRequest]) -> int:
+    """Seed of a run; a forged run may have another value."""
+    return seed if type(seed := run[2].seed) is int else 0
 
 
 def without_runs(root: str | Path) -> str:

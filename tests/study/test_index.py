@@ -43,7 +43,10 @@ def test_every_number_is_that_of_the_files(tmp_path: Path) -> None:
     assert len(repr(runs)) < 200 + len(str(tmp_path)), "the texts of curves are not printed"
     assert runs.damaged.empty
     assert (len(runs.runs), len(runs.curves)) == (300, 300 * POINTS)
-    assert runs.runs["folder"].tolist() == sorted(map(str, folders))
+    assert sorted(runs.runs["folder"]) == sorted(map(str, folders))
+    order = runs.runs[["problem", "optimizer", "seed"]]
+    pd.testing.assert_frame_equal(order, order.sort_values(list(order)))
+    assert runs.curves["id"].unique().tolist() == runs.runs["id"].tolist()
     curves = dict(list(runs.curves.groupby("id")))
     for row in runs.runs.to_dict("records"):
         folder = Path(row["folder"])
