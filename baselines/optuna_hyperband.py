@@ -10,7 +10,7 @@ import optuna
 
 from miho.compiled import Block, Climb, Steps
 from miho.optim import Optimizer, Oracle, Space
-from miho.optim.mutation import annealed_sigma, climb_of, compiled_steps, mutate
+from miho.optim.miho import annealed_sigma, climb_of, compiled_steps, mutate
 from miho.quantities import Array
 from miho.validate import whole
 

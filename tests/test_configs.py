@@ -17,8 +17,7 @@ from baselines.problems.posed import posed_problem
 from experiments.app.build import ConfigError, build, build_optimizer, build_problem, plain
 from experiments.app.comparing import chosen_method, chosen_problems
 from experiments.app.compose import composed
-from experiments.app.options import options_of
-from experiments.app.published import recorded, settings_of
+from experiments.app.options import options_of, recorded, settings_of
 from miho.identification import linear_optimum
 from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize

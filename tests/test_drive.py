@@ -21,10 +21,10 @@ from experiments.driving.outcome import Clearance, Departure, departure
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.models.identified import Identified, Value, parameters_text
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving.as_printed import INTERVAL, PrintedSteering
 from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.simulation import Drive
-from miho.vehicle.driving.steering_as_printed import INTERVAL, PrintedSteering
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models import BrakeTorque
 from tests.vehicle.driving.test_vehicle import av21

@@ -18,9 +18,8 @@ from experiments.app.compose import composed, option_folders
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import parse_overrides, unknown_message
 from experiments.app.instantiation import MissingLibraryError
-from experiments.app.options import options_of
+from experiments.app.options import options_of, recorded
 from experiments.app.plan import Request, Trials, requests
-from experiments.app.published import recorded
 from experiments.app.working import State
 from miho.study import Status
 from miho.vehicle.data import DataUnavailableError

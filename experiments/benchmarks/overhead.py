@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
+from experiments.benchmarks.sleeping import DASK, PROCESSES, engines, started
 from miho.optim import Budget, Oracle, Parameter, Problem, Space
 from miho.quantities import Array
 

@@ -31,7 +31,7 @@ from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.quantities import g
 from miho.study import write_text
 from miho.vehicle.driving import Drive, Driver, LoadTransfer
-from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
+from miho.vehicle.driving.as_printed import PrintedPlanner
 
 TESTS = ("ims_obstacle", "lvms_laps")
 SETTINGS = ("root=runs/printed_equations", "drive.known=truth")

@@ -33,8 +33,8 @@ from miho.vehicle.driving.friction import demand
 from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.learning_driver import FrictionSource
 from miho.vehicle.driving.path_tracking import Weights
+from miho.vehicle.driving.plant import Sensors
 from miho.vehicle.driving.road import road_of
-from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.steering_control import SteeringController
 from miho.vehicle.driving.velocity_planner import VelocityPlanner
 

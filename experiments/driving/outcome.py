@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from miho.vehicle.driving import Drive, Driver, Track
+from miho.vehicle.driving.as_printed import PrintedPlanner
 from miho.vehicle.driving.embedded import embedded_tires
 from miho.vehicle.driving.friction import FrictionCar, demand, friction_car, measured_use
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.known_car import inclinations, static_loads
 from miho.vehicle.driving.local_plan import NoPathError
-from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 from miho.vehicle.driving.velocity_planner import VelocityPlanner, front_share
 
 CAR_LENGTH, CAR_WIDTH = 4.9, 1.93

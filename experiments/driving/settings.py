@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error, unknown_message
 from experiments.app.schema import RENAMED, DriveConfig
+from miho.vehicle.driving.as_printed import PrintedPlanner, PrintedSteering
 from miho.vehicle.driving.centre_line import track_from_csv
 from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.vehicle.driving.embedded import embedded_plant
@@ -19,15 +20,13 @@ from miho.vehicle.driving.lines import beside, constant
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
 from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
+from miho.vehicle.driving.plant import Sensors
 from miho.vehicle.driving.road import road_of
-from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.simulation import Drive, simulate
 from miho.vehicle.driving.speed_control import SpeedSettings
-from miho.vehicle.driving.steering_as_printed import PrintedSteering
 from miho.vehicle.driving.steering_control import SteeringController
 from miho.vehicle.driving.track import Track
 from miho.vehicle.driving.vehicle import Vehicle
-from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 
 OVALS = {"ims": ims, "lvms": lvms}
 FACTORS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from experiments.benchmarks.many_workers_figure import PANELS, many_workers_figure
+from experiments.benchmarks.many_workers import PANELS, many_workers_figure
 
 
 def test_a_frame_of_another_benchmark_is_refused() -> None:

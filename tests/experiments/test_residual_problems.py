@@ -9,7 +9,7 @@ import scipy.optimize
 
 from baselines.problems.posed import posed_problem
 from experiments.app.compose import composed
-from experiments.app.published import recorded
+from experiments.app.options import recorded
 
 POSED = {name: posed_problem(name) for name in recorded() if name[:3] in ("mw_", "cr_")}
 STARTS = (

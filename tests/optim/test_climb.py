@@ -34,7 +34,7 @@ from miho.compiled.taped import TapedLoss
 from miho.core import machine
 from miho.models.expression import Expression
 from miho.optim import BudgetExhausted, Clock, Outcome, RunRecord
-from miho.optim.mutation import climb_of
+from miho.optim.miho import climb_of
 from miho.optim.schedule import hyperband_table
 from miho.optim.seeds import stream
 from miho.vehicle.models import TorqueCubic

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from miho import MIHO, Budget, minimize
 from miho.optim import Outcome, hyperband_table
-from miho.optim.mutation import annealed_sigma, mutate
+from miho.optim.miho import annealed_sigma, mutate
 from miho.optim.seeds import stream
 from miho.testing import DecayFit
 

@@ -15,7 +15,7 @@ GROUP = "problem"
 
 
 class PublishedProblems(ConfigSource):
-    """The rows of `conf/problem/published.csv`; see `experiments.app.published`."""
+    """The rows of `conf/problem/published.csv`; see `experiments.app.options`."""
 
     @staticmethod
     def scheme() -> str:
@@ -24,7 +24,7 @@ class PublishedProblems(ConfigSource):
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Return the configuration of a problem, which replaces nodes of the whole one."""
-        from experiments.app.published import settings_of
+        from experiments.app.options import settings_of
 
         config = OmegaConf.create(settings_of(_name(config_path)))
         return ConfigResult(self.provider, self.full_path(), config, {"package": "_global_"})
@@ -39,13 +39,13 @@ class PublishedProblems(ConfigSource):
 
     def is_config(self, config_path: str) -> bool:
         """Return whether a path is a problem of the table."""
-        from experiments.app.published import recorded
+        from experiments.app.options import recorded
 
         return config_path.startswith(f"{GROUP}/") and _name(config_path) in recorded()
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
         """Return the names of the problems."""
-        from experiments.app.published import recorded
+        from experiments.app.options import recorded
 
         return sorted(recorded()) if self.is_group(config_path) else []
 

@@ -18,9 +18,12 @@ if TYPE_CHECKING:
     )
     from miho.vehicle.data.synthetic_drive import tire_drive
     from miho.vehicle.data.synthetic_engine import dyno_test, engine_driving_log, load_engine_drive
-    from miho.vehicle.data.synthetic_handling import simulated_axle_drive, simulated_weave
+    from miho.vehicle.data.synthetic_handling import (
+        simulated_axle_drive,
+        simulated_weave,
+        steering_test,
+    )
     from miho.vehicle.data.synthetic_outliers import tire_outlier_test
-    from miho.vehicle.data.synthetic_steering import steering_test
     from miho.vehicle.data.tir_sampling import (
         SamplingRanges,
         embedded_tire,

@@ -12,9 +12,8 @@ if TYPE_CHECKING:
     from miho.vehicle.driving.learning_driver import FrictionSource, LearningDriver
     from miho.vehicle.driving.load_transfer import LoadTransfer, WheelLoads
     from miho.vehicle.driving.ovals import ims, lvms
-    from miho.vehicle.driving.plant import Command, Motion, Plant
+    from miho.vehicle.driving.plant import Command, Motion, Plant, Sensors
     from miho.vehicle.driving.road import PLANE, Road, road_of
-    from miho.vehicle.driving.sensors import Sensors
     from miho.vehicle.driving.simulation import Drive, simulate
     from miho.vehicle.driving.track import Track
     from miho.vehicle.driving.vehicle import Vehicle

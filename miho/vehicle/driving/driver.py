@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from miho.validate import positive
+from miho.vehicle.driving.as_printed import PrintedPlanner, PrintedSteering
 from miho.vehicle.driving.local_plan import LocalPlanner, NoPathError, Obstacle
 from miho.vehicle.driving.plant import Command, Motion
 from miho.vehicle.driving.speed_control import SpeedController, SpeedState
-from miho.vehicle.driving.steering_as_printed import PrintedSteering
 from miho.vehicle.driving.steering_control import (
     SteeringController,
     SteeringState,
@@ -19,7 +19,6 @@ from miho.vehicle.driving.steering_control import (
     tracking_error,
 )
 from miho.vehicle.driving.track import Projection, Track
-from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 from miho.vehicle.driving.velocity_planner import VelocityPlan, VelocityPlanner
 
 LOST = 10.0

@@ -20,7 +20,7 @@ from miho.vehicle.driving.path_tracking import (
     SteeringActuator,
     Weights,
 )
-from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.plant import Sensors
 from miho.vehicle.driving.speed_control import SpeedController, SpeedSettings
 from miho.vehicle.driving.steering_control import AxleSlip, SteeringController
 from miho.vehicle.driving.vehicle import Vehicle

@@ -13,7 +13,7 @@ from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from miho.quantities import Array, g
 from miho.validate import positive
-from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.plant import Sensors
 from miho.vehicle.models.single_track import SingleTrack
 
 SLOWEST = 3.0

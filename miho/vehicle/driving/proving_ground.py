@@ -11,8 +11,7 @@ import numpy as np
 
 from miho.validate import settings_at_least
 from miho.vehicle.data.driving_log import DrivingLog
-from miho.vehicle.driving.plant import Command, Motion, Plant, channels_of
-from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.plant import Command, Motion, Plant, Sensors, channels_of
 from miho.vehicle.driving.vehicle import Vehicle
 from miho.vehicle.models.engine import RPM
 

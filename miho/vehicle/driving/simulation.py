@@ -14,8 +14,7 @@ from miho.validate import positive
 from miho.vehicle.data.driving_log import DrivingLog
 from miho.vehicle.driving.driver import Driver, DriverState, place
 from miho.vehicle.driving.learning_driver import LearningDriver
-from miho.vehicle.driving.plant import Command, Motion, Plant, channels_of
-from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.plant import Command, Motion, Plant, Sensors, channels_of
 
 State = TypeVar("State")
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from miho.vehicle.data import steering_test
-from miho.vehicle.data.synthetic_handling import NOISE
-from miho.vehicle.data.synthetic_steering import AMPLITUDE, TRUTH
+from miho.vehicle.data.synthetic_handling import NOISE, TEST_AMPLITUDE, TRUTH
 from miho.vehicle.models import single_track_response
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
@@ -36,7 +35,7 @@ def test_the_tires_are_far_from_linear() -> None:
     """The answer to a ten-thousandth of the steering, scaled up, is off by a quarter."""
     data = steering_test(CAR, noise=0.0)
     t, vx, steering = data["t"], data["vx"], data["steering"]
-    assert 0.9 * AMPLITUDE < np.abs(steering).max() <= AMPLITUDE
+    assert 0.9 * TEST_AMPLITUDE < np.abs(steering).max() <= TEST_AMPLITUDE
     linear = single_track_response(CAR).predict(TRUE[None], t, vx, 1e-4 * steering)[0] / 1e-4
     assert np.std(data["yaw_rate"] - linear) > 0.25 * np.std(linear)
 

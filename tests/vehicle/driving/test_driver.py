@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from miho.vehicle.driving.as_printed import PrintedPlanner
 from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
@@ -16,7 +17,6 @@ from miho.vehicle.driving.ovals import lvms
 from miho.vehicle.driving.path_tracking import Weights
 from miho.vehicle.driving.plant import Motion
 from miho.vehicle.driving.road import road_of
-from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 from tests.vehicle.driving.cars import car
 
 LINE = lvms(step=4.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from miho.vehicle.driving.path_tracking import ErrorEstimator, SampledModel, Weights
-from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.plant import Sensors
 from tests.vehicle.driving.cars import car
 
 VX = 27.8

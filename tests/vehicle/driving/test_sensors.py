@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from miho.vehicle.driving.plant import Motion
-from miho.vehicle.driving.sensors import Sensors
+from miho.vehicle.driving.plant import Motion, Sensors
 
 MOTION = Motion(
     1.0, 2.0, 3.0, 0.1, 40.0, 0.2, 0.3, 1.0, 8.0, 0.02, np.full(4, 130.0), 500.0, 200.0, 4, 1e5,

@@ -16,9 +16,8 @@ from miho.vehicle.driving.lines import beside, constant
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
 from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
-from miho.vehicle.driving.plant import Motion
+from miho.vehicle.driving.plant import Motion, Sensors
 from miho.vehicle.driving.road import road_of
-from miho.vehicle.driving.sensors import Sensors
 from miho.vehicle.driving.simulation import Drive, simulate
 from miho.vehicle.driving.track import Track
 from tests.vehicle.driving.cars import car

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from miho.vehicle.driving.as_printed import INTERVAL, PrintedSteering
 from miho.vehicle.driving.path_tracking import SteeringActuator, Weights
 from miho.vehicle.driving.segments import Segment, track_of
-from miho.vehicle.driving.steering_as_printed import INTERVAL, PrintedSteering
 from miho.vehicle.driving.steering_control import TrackingError
 from miho.vehicle.driving.track import Projection
 from miho.vehicle.models import Axle

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.constants import g
 
+from miho.vehicle.driving.as_printed import PrintedPlanner
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.grip import Grip
 from miho.vehicle.driving.ovals import lvms
 from miho.vehicle.driving.plant import Motion
-from miho.vehicle.driving.velocity_as_printed import PrintedPlanner
 from miho.vehicle.driving.velocity_planner import VelocityPlanner
 from tests.vehicle.driving.test_velocity_planner import CAR, PLAIN, equal_grip, ring
 
