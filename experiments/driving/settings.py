@@ -12,11 +12,10 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error, unknown_message
 from experiments.app.schema import RENAMED, DriveConfig
 from miho.vehicle.driving.as_printed import PrintedPlanner, PrintedSteering
-from miho.vehicle.driving.centre_line import track_from_csv
 from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.vehicle.driving.embedded import embedded_plant
 from miho.vehicle.driving.known_car import KnownCar
-from miho.vehicle.driving.lines import beside, constant
+from miho.vehicle.driving.lines import beside, constant, track_from_csv
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
 from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights

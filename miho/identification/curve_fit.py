@@ -261,7 +261,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         """The residuals of the weighted output."""
         model, columns, target = self.model, self.inputs, self._output
         if self.weights is not None:
-            from miho.models.weighted import weighted
+            from miho.identification.residual_expressions import weighted
 
             model, columns = weighted(model), (*columns, self.weights)
             target = target * self.weights

@@ -18,12 +18,12 @@ import pytest
 from baselines.cma_es import CMAES
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber
+from miho.identification.residual_expressions import weighted
 from miho.methods import PSO, DifferentialEvolution, LeastSquares
 from miho.models import FunctionModel
 from miho.models.joint import JointModel, JointPart
 from miho.models.model import ExternalModel, Model
 from miho.models.spread import SpreadModel
-from miho.models.weighted import weighted
 from miho.optim import (
     MIHO,
     MIHOGN,

@@ -195,15 +195,12 @@ class _Study:
         return bool(best_other / NEAR_BEST <= error <= best_other * NEAR_BEST)
 
     def speed(
-        self, rivals: Sequence[str], target: float, axis: Axis
+        self, rivals: Sequence[str], target: float, axis: Axis, method: str = MIHO
     ) -> tuple[Interval, int] | None:
-        """The speed-up of MIHO against the fastest of the rivals; None without common seeds."""
-        return self.speed_of(MIHO, rivals, target, axis)
+        """The speed-up of a method against the fastest of the rivals, and the number of seeds.
 
-    def speed_of(
-        self, method: str, rivals: Sequence[str], target: float, axis: Axis
-    ) -> tuple[Interval, int] | None:
-        """The speed-up of a method against the fastest of the rivals, and the number of seeds."""
+        None without common seeds.
+        """
         seeds = self.seeds([method, *rivals])
         if axis == self.clock.axis:
             timed = set(self.clock.runs["seed"])
@@ -289,7 +286,7 @@ class _Study:
 
     def cost_claim(self, method: str, cheaper: str, target: float) -> Row:
         claim = f"{method} needs more evaluations than {cheaper} to {target / 1e3:.1f} kN"
-        cost = self.speed_of(cheaper, [method], target, "evaluations")
+        cost = self.speed([method], target, "evaluations", cheaper)
         if cost is None:
             return self.row(claim, "more", None, "×", verdict.without_runs([method]))
         result = verdict.of_advantage(cost[0], MORE, cost[1], no_advantage=1)

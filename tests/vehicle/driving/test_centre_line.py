@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from miho.data import CSVError
-from miho.vehicle.driving.centre_line import track_from_csv
+from miho.vehicle.driving.lines import track_from_csv
 
 RADIUS = 120.0
 
