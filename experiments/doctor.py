@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 
-from experiments.app.arguments import root_folder
-from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.console import OK, SOME_FAILED, root_folder, run_and_exit
 from experiments.diagnosis.machine import Check, Severity, machine_checks, package_checks
 from experiments.diagnosis.results import result_checks
 

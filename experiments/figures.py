@@ -17,8 +17,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from experiments.app.arguments import as_options
-from experiments.app.console import run_and_exit
+from experiments.app.console import as_options, run_and_exit
 from experiments.app.drawing import draw_arena, draw_axle, draw_comparison, draw_engine, draw_tires
 from experiments.app.safety import check_folder
 

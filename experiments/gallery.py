@@ -17,7 +17,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 from PIL import Image
 
-from experiments.app.arguments import chosen_names
+from experiments.app.console import chosen_names
 from experiments.app.gallery_pages import (
     FOLDER,
     NAMES,

@@ -15,8 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from experiments.app.arguments import root_folder
-from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.console import OK, SOME_FAILED, root_folder, run_and_exit
 from experiments.app.next_measurement import check_candidates
 from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
 from experiments.app.reports import report_on_root, report_on_run, workers

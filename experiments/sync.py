@@ -20,8 +20,7 @@ from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 
-from experiments.app.arguments import root_folder
-from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.console import OK, SOME_FAILED, root_folder, run_and_exit
 from experiments.app.mirror import sync
 from experiments.app.mlflow_tracker import as_tracker_error, connect
 from miho.study import load_runs

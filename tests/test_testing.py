@@ -163,14 +163,14 @@ def test_a_method_that_asks_for_nothing_is_ended(
     monkeypatch: pytest.MonkeyPatch, asks: int, check: str
 ) -> None:
     """Directly, and in a run whose failures are caught."""
-    monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.05)
+    monkeypatch.setattr("miho.testing.decay_fit.PATIENCE", 0.05)
     with pytest.raises(ConformanceError, match=f"{check}: NoEvaluation: it (computed|waited) for"):
         run_check(check, Silent(asks), {})
     assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
 
 
 def test_a_method_that_only_waits_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.2)
+    monkeypatch.setattr("miho.testing.decay_fit.PATIENCE", 0.2)
     with pytest.raises(ConformanceError, match="NoEvaluation: it waited for"):
         run_check("keeps_the_budget_exactly", Waits(), {})
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
+import inspect
 import io
 import os
 import shlex
@@ -10,7 +12,7 @@ import sys
 import textwrap
 import threading
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import chdir
 from pathlib import Path
 from types import MappingProxyType
@@ -46,6 +48,33 @@ from miho.study.redaction import redacted
 from miho.vehicle.data import DataUnavailableError
 from miho.vehicle.driving.compiling import MissingNumbaError
 from miho.vehicle.models import TirError
+
+
+def as_options(words: Sequence[str], names: Collection[str]) -> list[str]:
+    """Replace `name=value` by `--name=value` for these names, so that argparse reads it."""
+    return [f"--{word}" if word.partition("=")[0] in names else word for word in words]
+
+
+def root_folder(text: str) -> Path:
+    """Path of a folder of runs, given with or without `root=`."""
+    return Path(text.removeprefix("root="))
+
+
+def chosen_names(description: str | None, names: Sequence[str]) -> Sequence[str]:
+    """Parse a command line that gives some of these names, or none for all of them."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m experiments.{Path(sys.argv[0]).stem}",
+        description=inspect.cleandoc(description or ""),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"by default all: {', '.join(names)}"
+    )
+    chosen: list[str] = parser.parse_args().names
+    if unknown := sorted(set(chosen) - set(names)):
+        parser.error(f"{', '.join(unknown)} is unknown; expected {', '.join(names)}")
+    return chosen or names
+
 
 WIDTH = 100
 

@@ -27,16 +27,10 @@ from experiments.benchmarks.bars import (
     turns,
 )
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.vehicle.driving import Command, Driver, KnownCar, Vehicle, ims, lvms, road_of, simulate
 from miho.vehicle.driving.double_track import DoubleTrack
-from miho.vehicle.driving.driver import Driver
 from miho.vehicle.driving.embedded import embedded_engine, embedded_plant, embedded_tires
-from miho.vehicle.driving.known_car import KnownCar
-from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
-from miho.vehicle.driving.plant import Command
-from miho.vehicle.driving.road import road_of
-from miho.vehicle.driving.simulation import simulate
-from miho.vehicle.driving.vehicle import Vehicle
 
 PERIOD = 0.01
 CRUISE = Command(0.005, 0.3, 0.0, 4)

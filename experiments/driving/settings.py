@@ -11,21 +11,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.explain import BAD_SETTINGS, ConfigError, as_config_error, unknown_message
 from experiments.app.schema import RENAMED, DriveConfig
+from miho.vehicle.driving import KnownCar, Sensors, Track, Vehicle, ims, lvms, road_of
 from miho.vehicle.driving.as_printed import PrintedPlanner, PrintedSteering
 from miho.vehicle.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.vehicle.driving.embedded import embedded_plant
-from miho.vehicle.driving.known_car import KnownCar
 from miho.vehicle.driving.lines import beside, constant, track_from_csv
 from miho.vehicle.driving.local_plan import LocalPlanner, Obstacle
-from miho.vehicle.driving.ovals import ims, lvms
 from miho.vehicle.driving.path_tracking import Weights
-from miho.vehicle.driving.plant import Sensors
-from miho.vehicle.driving.road import road_of
 from miho.vehicle.driving.simulation import Drive, simulate
 from miho.vehicle.driving.speed_control import SpeedSettings
 from miho.vehicle.driving.steering_control import SteeringController
-from miho.vehicle.driving.track import Track
-from miho.vehicle.driving.vehicle import Vehicle
 
 OVALS = {"ims": ims, "lvms": lvms}
 FACTORS = {

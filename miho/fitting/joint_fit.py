@@ -16,11 +16,9 @@ from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_descent import descended
 from miho.fitting.search import searched
+from miho.identification import CurveFit, Linearised, Loss
 from miho.identification.alternatives import optima_table
-from miho.identification.curve_fit import CurveFit
-from miho.identification.residuals import Loss
 from miho.identification.stated import stated_parameters
-from miho.identification.uncertainty import Linearised
 from miho.models.joint import parts_of
 from miho.models.layout import PART
 from miho.models.model import Model

@@ -14,16 +14,13 @@ from miho.data.stacking import stacked_columns
 from miho.fitting.arguments import named, space_of
 from miho.fitting.fit_result import Fit
 from miho.fitting.search import searched, spread
+from miho.identification import CurveFit, Loss, Square, linearised
 from miho.identification.constraints import constrained
-from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import SMALLEST, examined
 from miho.identification.refit import refit
-from miho.identification.residuals import Loss, Square
-from miho.identification.uncertainty import linearised
-from miho.models.function_model import FunctionModel
+from miho.models import FunctionModel, Model
 from miho.models.joint import JointModel, JointPart, joined, parts_of
 from miho.models.layout import PART
-from miho.models.model import Model
 from miho.optim import Parameter, Space
 from miho.quantities import Array
 from miho.units import differ

@@ -8,8 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from miho.identification.residuals import Loss, Square
-from miho.identification.robust_loss import Cauchy, Huber
+from miho.identification import Cauchy, Huber, Loss, Square
 from miho.optim import MIHOGN, Budget, Optimizer
 from miho.optim.refused_arguments import check_budget
 

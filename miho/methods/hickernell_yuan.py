@@ -18,9 +18,8 @@ from miho.methods.descent import (
     local_search,
 )
 from miho.methods.unit_box import Sobol, UnitBox
-from miho.optim import Optimizer, Oracle, Space
+from miho.optim import Descent, Optimizer, Oracle, Space
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.trace import Descent
 from miho.quantities import Array
 from miho.validate import at_least, positive, whole, whole_settings
 

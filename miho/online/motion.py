@@ -11,13 +11,12 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
+from miho.models import Model, Trajectory
 from miho.models.equations import NO_UNIT
 from miho.models.layout import OUTPUT
-from miho.models.model import Model
 from miho.models.symbolic import Symbol, trace
 from miho.models.tied import Tied, tie
 from miho.models.traced import TracedExpression
-from miho.models.trajectory import Trajectory
 from miho.online.method import Rows, numbers_of, rows_of
 from miho.online.outputs import NEXT, TIME
 from miho.optim.space import Space

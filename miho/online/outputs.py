@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from miho.identification.curve_fit import CurveFit
+from miho.identification import CurveFit, Linearised, Report
 from miho.identification.dependence import widening
-from miho.identification.report import Report
 from miho.identification.stated import reported_slopes, reported_space, reported_values
-from miho.identification.uncertainty import Linearised
 from miho.models.joint import parts_of
 from miho.models.layout import PART
 from miho.models.model import Model

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
-    from miho.testing.decay_fit import DecayFit
+    from miho.testing.decay_fit import PATIENCE, DecayFit, NoEvaluation
     from miho.testing.models import ConformanceError, check_model
     from miho.testing.optimizers import BUDGET, CHECKS, check_optimizer, run_check
-    from miho.testing.patience import PATIENCE, NoEvaluation
 
 __all__ = [
     "BUDGET", "CHECKS", "PATIENCE", "ConformanceError", "DecayFit", "NoEvaluation", "check_model",

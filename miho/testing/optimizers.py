@@ -25,9 +25,8 @@ from miho.optim import (
 from miho.optim.minimize import raised_at
 from miho.optim.seeds import stream
 from miho.quantities import Array
-from miho.testing.decay_fit import DecayFit
+from miho.testing.decay_fit import DecayFit, NoEvaluation, patience
 from miho.testing.models import ConformanceError, require
-from miho.testing.patience import NoEvaluation, patience
 
 BUDGET = 20_000
 """Default evaluations per run: more than the first batch of any method."""

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.app.arguments import chosen_names
+from experiments.app.console import chosen_names
 
 
 def test_names_are_chosen_or_all_of_them(

@@ -13,9 +13,9 @@ import pandas as pd
 import pytest
 
 from experiments import figures
-from experiments.app.arguments import as_options, root_folder
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
+from experiments.app.console import as_options, root_folder
 from experiments.app.drawing import compared, stuck
 from experiments.app.execution import execution_of
 from experiments.app.run_text import table_text
