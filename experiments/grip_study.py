@@ -25,16 +25,14 @@ from experiments.app.build import ConfigError
 from experiments.app.console import command
 from experiments.app.explain import BAD_SETTINGS, as_config_error
 from experiments.app.origin import regenerates
-from experiments.driving.falling_grip import RESERVE, Constant, FallingGrip, Oracle
-from experiments.driving.grip_results import (
-    BLIND,
+from experiments.driving import falling_grip
+from experiments.driving.falling_grip import (
     CAUTIOUS,
     ORACLE,
     TRACKER,
-    detection,
-    draw,
-    row,
-    table,
+    Constant,
+    FallingGrip,
+    Oracle,
 )
 from miho.analysis.text import csv_text
 from miho.study import write_text
@@ -63,20 +61,20 @@ def study(cfg: DictConfig) -> None:
         tracked = laps.tracked(laps.earlier(seed))
         schedule = laps.schedule(seed)
         sources = {
-            BLIND: Constant(), TRACKER: tracked, ORACLE: Oracle(schedule),
+            falling_grip.BLIND: Constant(), TRACKER: tracked, ORACLE: Oracle(schedule),
             CAUTIOUS: Constant(1 - laps.fall),
         }  # fmt: skip
         drives = {
-            name: laps.lap(seed, source, RESERVE if name == TRACKER else 0.0)
+            name: laps.lap(seed, source, falling_grip.RESERVE if name == TRACKER else 0.0)
             for name, source in sources.items()
         }
-        rows += [row(seed, name, drive) for name, drive in drives.items()]
-        rows[-3] |= detection(tracked, schedule)
+        rows += [falling_grip.row(seed, name, drive) for name, drive in drives.items()]
+        rows[-3] |= falling_grip.detection(tracked, schedule)
         if seed == cfg.seed:
             del drives[CAUTIOUS]
-            draw(root, laps, drives, tracked, schedule)
+            falling_grip.draw(root, laps, drives, tracked, schedule)
         write_text(root / "laps.csv", csv_text(pd.DataFrame(rows), float_format="%.6g"))
-    text = table(pd.DataFrame(rows), np.random.default_rng(cfg.seed))
+    text = falling_grip.table(pd.DataFrame(rows), np.random.default_rng(cfg.seed))
     write_text(root / "table.txt", text + "\n")
     about = regenerates("experiments.grip_study", [])
     write_text(root / "grip_study.json", json.dumps(about, indent=1) + "\n")

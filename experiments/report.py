@@ -16,9 +16,8 @@ import argparse
 from pathlib import Path
 
 from experiments.app.console import OK, SOME_FAILED, root_folder, run_and_exit
-from experiments.app.next_measurement import check_candidates
 from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
-from experiments.app.reports import report_on_root, report_on_run, workers
+from experiments.app.reports import check_candidates, report_on_root, report_on_run, workers
 from miho.identification.report_steps import SECONDS
 from miho.study import read_run
 

@@ -98,7 +98,7 @@ def driving_code(methods: Iterable[Optimizer]) -> str:
 
 def tracking_code() -> str:
     """Digest of the code that can affect the score of a method that tracks parameters."""
-    parts = ("task", "session", "calibrated", "comparison")
+    parts = ("task", "session", "comparison")
     return DRIVING_SOURCES.digest({f"experiments.online.{part}" for part in parts})
 
 

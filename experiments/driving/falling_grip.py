@@ -14,14 +14,20 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from omegaconf import DictConfig
 
 from experiments.driving.car import known_car
+from experiments.driving.outcome import true_use
 from experiments.driving.settings import track_and_vehicle
+from miho.analysis import save
+from miho.analysis.compare.bootstrap import mean_error
+from miho.analysis.figures.tracking import grip_figure
 from miho.fitting.one_fit import fit
 from miho.identification.report import Report
 from miho.online import Running, TrackerSettings, TrackerState
@@ -152,7 +158,7 @@ RESERVE = 0.2
 """Reserve of the driver with a tracker at the entry of a turn [-]. With the fall at 21.9 s, at the
 end of the front arc, it finishes 5 of 5 laps (seeds 105, 108, 111, 113 and 132), 4 with 0.15 and
 none with 0.1."""
-TRACKER = TrackerSettings(use=0.02)
+SETTINGS = TrackerSettings(use=0.02)
 """A row of the front arc, with half of the grip in use, also teaches. On seeds 100 to 111 the alarm
 came after 1.8 s, and after 3.5 s with 0.1 (medians, before the driver had a reserve)."""
 
@@ -229,9 +235,9 @@ class FallingGrip:
         return self._drive(learning, self.schedule(seed), seed)
 
     def tracked(self, report: Report) -> TrackedFriction:
-        """Return a source of friction by TRACKER, which tracks the front grip."""
+        """Return a source of friction by SETTINGS, which tracks the front grip."""
         problem = replace(report.problem, sigma=report.at.noise)  # although errors are correlated
-        running = TRACKER.start(problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
+        running = SETTINGS.start(problem, report, {"front_grip": 0.35}, NOISE, PERIOD)
         place = report.problem.space.names.index("front_grip")
         return TrackedFriction(FrontAxle(self.car.vehicle), running, float(report.at.theta[place]))
 
@@ -252,3 +258,93 @@ class FallingGrip:
         start = plant.start(0.0, 0.0, speed, gear)
         rng = np.random.default_rng([seed, 1])
         return simulate(plant, driver, start, self.line.length, sensors=Sensors(), rng=rng)
+
+
+BLIND, TRACKER, ORACLE, CAUTIOUS = (
+    "the offline value", "the tracker", "the oracle", "the offline value less 30 %",
+)  # fmt: skip
+
+
+def row(seed: int, name: str, drive: Drive) -> dict[str, Any]:
+    """Results of a lap: lap_time [s], NaN if the car stopped, and the largest offset [m]."""
+    time = float("nan") if drive.stopped else float(drive["time"][-1])
+    offset = float(np.abs(drive["e_y"]).max())
+    return {"seed": seed, "knows": name, "lap_time": time, "offset": offset}
+
+
+def detection(tracked: TrackedFriction, schedule: FrictionSchedule) -> dict[str, Any]:
+    """Delay [s] of the first alarm after the fall, its words, alarms before it, and coverage."""
+    time = np.array([state.time for state in tracked.states])
+    ends = np.array([state.intervals()[0] for state in tracked.states]) / tracked.before
+    truth = np.array([schedule.at(at) for at in time])
+    alarms = [state.alarm for state in tracked.states if state.alarm is not None]
+    after = [alarm for alarm in alarms if alarm.time >= schedule.time[0]]
+    inside = (ends[:, 0] <= truth) & (truth <= ends[:, 1])
+    return {
+        "alarm_delay": after[0].time - schedule.time[0] if after else float("nan"),
+        "alarm": str(after[0]) if after else "",
+        "false_alarms": len(alarms) - len(after),
+        "coverage": float(inside.mean()),
+    }
+
+
+def table(rows: pd.DataFrame, rng: np.random.Generator) -> str:
+    """Laps finished, and lap time with its 95 % interval, for each knowledge of the grip."""
+    lines = []
+    for name, group in rows.groupby("knows", sort=False):
+        times = group["lap_time"].dropna().to_numpy()
+        text = "-"
+        if times.size:
+            mean = mean_error(times, rng)
+            text = f"{mean.estimate:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
+        finished = f"{times.size} of {len(group)}"
+        lines.append({"the controllers know": name, "finished": finished, "lap time [s]": text})
+    of = rows.pivot(index="seed", columns="knows", values="lap_time")
+    lost, most = of[TRACKER] - of[ORACLE], of[CAUTIOUS] - of[ORACLE]
+    tracked = rows[rows["knows"] == TRACKER]
+    return "\n".join([
+        pd.DataFrame(lines).to_string(index=False),
+        f"loss against the oracle: {lost.mean():.2f} s by the tracker, {most.mean():.2f} s by "
+        f"{CAUTIOUS}",
+        f"alarm after {tracked['alarm_delay'].median():.2f} s in the median, at most "
+        f"{tracked['alarm_delay'].max():.2f} s; {tracked['false_alarms'].sum():.0f} alarms before",
+    ])  # fmt: skip
+
+
+def draw(
+    root: Path, laps: FallingGrip, drives: dict[str, Drive], tracked: TrackedFriction,
+    schedule: FrictionSchedule,
+) -> None:  # fmt: skip
+    """Draw the first seed."""
+    states = pd.DataFrame(
+        [
+            {
+                "time": state.time,
+                "front_grip": state.theta[0] / tracked.before,
+                "front_grip_low": state.intervals()[0, 0] / tracked.before,
+                "front_grip_high": state.intervals()[0, 1] / tracked.before,
+                "front_grip_true": schedule.at(state.time),
+            }
+            for state in tracked.states
+        ]
+    )
+    alarms = {s.alarm.time: str(s.alarm).replace("_", " ") for s in tracked.states if s.alarm}
+    driver, logs, lost = laps.driver(), {}, []
+    for name, drive in drives.items():
+        friction = np.array([schedule.at(at) for at in drive["time"]])
+        log = pd.DataFrame(
+            {
+                "time": drive["time"],
+                "vx": np.hypot(drive["vx"], drive["vy"]),
+                "use": true_use(drive, driver) / friction,
+            }
+        )
+        gone = np.abs(drive["e_y"]) > 10 if drive.stopped else np.zeros(len(drive), dtype=bool)
+        logs[name] = log[~np.maximum.accumulate(gone)]
+        if gone.any():
+            lost.append(f"{name}: the car leaves its line by 10 m in the next turn, where"
+                        " its curve ends")  # fmt: skip
+    save(
+        grip_figure(states, logs, alarms, schedule.time[0], note="; ".join(lost)),
+        root / "figures" / "grip_falls",
+    )

@@ -1,9 +1,11 @@
-"""Scores of sessions on a stream with known truth, and their comparison."""
+"""Files after a session, and scores on a stream with known truth, and their comparison."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +13,136 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from baselines.online import Stream
+from baselines.online import Stream, bicycle, tire
+from baselines.online.alarms import Watch
+from baselines.online.peer import Peer
+from experiments.benchmarks.online_methods import CONTENDERS, detectors
+from experiments.benchmarks.online_scores import Family, thresholds
 from experiments.online.session import STATES
 from experiments.online.stored import SHARED, comparable
 from miho.analysis import save
 from miho.analysis.compare.bootstrap import mean_error
-from miho.analysis.figures.tracking import scores_figure
-from miho.analysis.text import csv_text
-from miho.online import Alarm
+from miho.analysis.figures.house import png
+from miho.analysis.figures.tracking import scores_figure, states_figure
+from miho.analysis.pages.html import PAGE
+from miho.analysis.pages.run import PARAMETERS, Section, page
+from miho.analysis.text import csv_text, significant
+from miho.models.identified import parameters_text
+from miho.online import Alarm, OnlineMethod, Running, Tracker, TrackerState
+from miho.online.method import Rows
 from miho.quantities import Array
 from miho.study import Identity, write_text
 from miho.study.provenance import command_line, lasting
+
+FAMILIES: Mapping[str, Family] = {
+    "baselines.online.tire": tire,
+    "baselines.online.bicycle": bicycle,
+}
+"""Streams on which alarms are calibrated, by their targets."""
+CONTENDER = {"miho": "tracker", "batch": "batch_ls", "lm_window": "lm"}
+"""Names in the benchmark of the options of `tracker` that have another name there."""
+
+
+@dataclass
+class Watched(Running):
+    """A peer with a calibrated alarm.
+
+    Parameters
+    ----------
+    peer : Peer
+        The run.
+    watch : Watch
+        Its alarm.
+    """
+
+    peer: Peer
+    watch: Watch
+
+    def update(self, rows: Rows) -> TrackerState:
+        """Take one row, and return the state after it."""
+        state = self.peer.update(rows)
+        [fired] = self.watch.judge(self.peer, self.watch.statistic(self.peer))
+        return replace(state, alarm=self.watch.alarm if fired else None)
+
+
+def watched(running: Running, name: str, method: OnlineMethod, family: str) -> Running:
+    """Return a run of a peer with its quickest calibrated alarm; another run as it is."""
+    contender = CONTENDER.get(name, name)
+    if not isinstance(running, Peer) or contender not in CONTENDERS or family not in FAMILIES:
+        return running
+    limits, best = _calibration(contender, method, FAMILIES[family])
+    return Watched(running, detectors((best,), limits)[best].watch(running.setup))
+
+
+@lru_cache
+def _calibration(
+    contender: str, method: OnlineMethod, family: Family
+) -> tuple[Mapping[str, float], str]:
+    return thresholds(CONTENDERS[contender], method, family)
+
+
+INFORMATIVE = "informative_rows.csv"
+MOST = 20_000
+"""Largest number of states in the figure."""
+
+
+def write_session(
+    root: Path,
+    running: Running,
+    alarms: Sequence[Alarm],
+    words: Sequence[str],
+    title: str,
+    units: Mapping[str, str],
+) -> list[Path]:
+    """Write parameters, informative rows and the page of the states so far; return the paths."""
+    written = [root / STATES]
+    if isinstance(running, Tracker):
+        write_text(root / PARAMETERS, parameters_text(running.parameters(), {}))
+        written.append(root / PARAMETERS)
+        try:
+            rows = running.dataset()
+        except ValueError:  # no row has informed a parameter yet
+            rows = None
+        if rows is not None:
+            write_text(root / INFORMATIVE, csv_text(pd.DataFrame(dict(rows.columns))))
+            written.append(root / INFORMATIVE)
+    states = pd.read_csv(root / STATES)
+    if len(states) > 1:
+        write_text(root / PAGE, session_page(states, alarms, words, title, units))
+        written.append(root / PAGE)
+    return written
+
+
+def session_page(
+    states: pd.DataFrame,
+    alarms: Sequence[Alarm],
+    words: Sequence[str],
+    title: str,
+    units: Mapping[str, str],
+) -> str:
+    """Return the HTML page of a session: alarms in words, last values, and the figure."""
+    names = {n: units.get(n, "") for n in states.columns if f"{n}_low" in states.columns}
+    last = states.iloc[-1]
+    table = pd.DataFrame({
+        "parameter": list(names),
+        "value": [significant(float(last[name])) for name in names],
+        "low": [significant(float(last[f"{name}_low"])) for name in names],
+        "high": [significant(float(last[f"{name}_high"])) for name in names],
+        "unit": list(names.values()),
+    })  # fmt: skip
+    times = {alarm.time: text for alarm, text in zip(alarms, words, strict=True)}
+    shown = states.iloc[:: max(1, len(states) // MOST)]
+    sections = [
+        Section("Alarms", sentences=list(words) or ["No alarm: no watched parameter has changed."]),
+        Section("Parameters now", table=table, caption="Intervals of 95 %."),
+        Section(
+            "Parameters over time", figure=png(states_figure(shown, names, times)),
+            caption="Bands are 95 % intervals; red lines are alarms.",
+        ),
+    ]  # fmt: skip
+    subtitle = f"{len(states):,} rows up to {last['time']:.1f} s."
+    return page(title, subtitle, sections)
+
 
 PROVENANCE = "comparison.json"
 STAYING = 1.0

@@ -18,8 +18,7 @@ from miho.online import Running
 
 def follow_to_score(cfg: DictConfig, root: Path, task: Task, stream: Stream) -> None:
     """Take all rows, then store the score; a sweep does so once, with calibrated alarms."""
-    from experiments.online.calibrated import watched
-    from experiments.online.comparison import compare, score  # slow: it draws
+    from experiments.online.comparison import compare, score, watched  # slow: it draws
 
     several = HydraConfig.get().mode is RunMode.MULTIRUN
     name = HydraConfig.get().runtime.choices["tracker"]
@@ -48,7 +47,7 @@ def follow(cfg: DictConfig, root: Path, task: Task, running: Running) -> Session
     try:
         session.run(task.source)
     finally:
-        from experiments.online.results import write_session  # slow: it draws
+        from experiments.online.comparison import write_session  # slow: it draws
 
         sentences = [in_words(alarm, words) for alarm in session.alarms]
         if session.last is not None:

@@ -11,7 +11,7 @@ from experiments import report
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.execution import execution_of
-from experiments.app.next_measurement import _without_formulas
+from experiments.app.reports import _without_formulas
 from experiments.check import next_measurement
 from miho.data import CSVError
 from miho.data.csv import TextFormat, TextTable

@@ -13,8 +13,8 @@ import pytest
 
 from baselines.online import ExtendedKalman, LevelAlarm, tire
 from experiments.benchmarks.online_records import arguments, records
-from experiments.online import calibrated
-from experiments.online.calibrated import watched
+from experiments.online import comparison
+from experiments.online.comparison import watched
 from experiments.online.stored import comparable, identity_of, is_stored, store
 from miho.online import TrackerSettings
 from miho.study import Identity
@@ -66,7 +66,7 @@ def test_only_scores_of_one_stream_and_code_are_compared(tmp_path: Path) -> None
 def test_a_peer_has_the_calibrated_alarm_and_the_tracker_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(calibrated, "thresholds", lambda *_: ({"level": 0.05}, "level"))
+    monkeypatch.setattr(comparison, "thresholds", lambda *_: ({"level": 0.05}, "level"))
     stream, method = tire("jump", 1, seconds=14.0, at=12.0), ExtendedKalman(0.02, 0.1)
     run = watched(method.start(**arguments(stream)), "ekf", method, TIRE)
     alarms = [state.alarm for row in stream if (state := run.update(row)).alarm]

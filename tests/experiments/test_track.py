@@ -23,8 +23,7 @@ import miho
 from baselines.online import tire
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
-from experiments.online.comparison import score
-from experiments.online.results import write_session
+from experiments.online.comparison import score, write_session
 from experiments.online.session import Session, repair, replay
 from experiments.online.sources import Lines, Replay, Socket, Source, parsed
 from experiments.online.task import Task, begun, task_of
