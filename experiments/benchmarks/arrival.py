@@ -16,7 +16,7 @@ import pandas as pd
 
 from experiments.app.build import build_optimizer, build_problem
 from experiments.app.compose import composed
-from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from experiments.benchmarks.bars import Measured, at_most, benchmark, interleaved
 from miho.analysis.compare.running_time import NEAR_BEST
 from miho.optim import MIHOGN, Budget, minimize
 
@@ -60,12 +60,12 @@ def measure(quick: bool) -> Measured:
     table = ms[[LOOK, *METHODS]].add_suffix(" [ms]")
     table["miho_gn: evaluations"] = evaluations["miho_gn"]
     table["of its time, model values [%]"] = 100 * ms[LOOK] * evaluations["miho_gn"] / ms["miho_gn"]
-    bars = [Bar("miho_gn at 3,000 rows", ms.loc[3000, "miho_gn"], AT_MOST, 3.0, "ms")]
+    bars = [at_most("miho_gn at 3,000 rows", ms.loc[3000, "miho_gn"], 3.0, "ms")]
     notes = []
     if not quick:
         most, fewer = ms.loc[3_000_000], ms.loc[30_000]
         looks = most["miho_gn"] / most[LOOK]
-        bars.append(Bar("miho_gn at 3,000,000 rows", looks, AT_MOST, 1.5, "looks at all rows"))
+        bars.append(at_most("miho_gn at 3,000,000 rows", looks, 1.5, "looks at all rows"))
         times = most["miho_gn"] / fewer["miho_gn"]
         notes.append(f"3,000,000 rows take {times:.3g} times as long as 30,000")
     return Measured(table.reset_index(), frame, bars, notes)

@@ -20,8 +20,6 @@ from miho.analysis import save
 from miho.study import environment_stamp, single_thread, write_text
 from miho.study.provenance import command_line
 
-AT_MOST, AT_LEAST = "<=", ">="
-
 
 @dataclass(frozen=True)
 class Bar:
@@ -36,7 +34,7 @@ class Bar:
     @property
     def met(self) -> bool:
         """Whether the value keeps to the limit; NaN does not."""
-        if self.relation == AT_MOST:
+        if self.relation == "<=":
             return self.measured <= self.limit
         return self.measured >= self.limit
 
@@ -44,6 +42,16 @@ class Bar:
         verdict = "met" if self.met else "MISSED"
         comparison = f"{self.measured:.3g} {self.relation} {self.limit:g} {self.unit}".rstrip()
         return f"{verdict:<7} {self.name}: {comparison}"
+
+
+def at_most(name: str, measured: float, limit: float, unit: str = "") -> Bar:
+    """A value that may not exceed its limit."""
+    return Bar(name, measured, "<=", limit, unit)
+
+
+def at_least(name: str, measured: float, limit: float, unit: str = "") -> Bar:
+    """A value that must reach its limit."""
+    return Bar(name, measured, ">=", limit, unit)
 
 
 @dataclass(frozen=True)

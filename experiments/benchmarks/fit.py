@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 import miho
-from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, turns
+from experiments.benchmarks.bars import Measured, at_most, benchmark, turns
 from miho.quantities import Array
 
 ROWS, NOISE = 300, 0.05
@@ -72,15 +72,15 @@ def measure(quick: bool) -> Measured:
     frame = pd.DataFrame(rows)
     of = dict(zip(frame["form"], frame["seconds"], strict=True))
     bars = [
-        Bar("miho.fit of 300 rows", 1e3 * of["miho.fit"], AT_MOST, 4.0, "ms"),
-        Bar("miho.fit from a start", 1e3 * of["miho.fit, start"], AT_MOST, 1.0, "ms"),
-        Bar("against curve_fit", of["miho.fit"] / of["curve_fit"], AT_MOST, 5.0, "times"),
+        at_most("miho.fit of 300 rows", 1e3 * of["miho.fit"], 4.0, "ms"),
+        at_most("miho.fit from a start", 1e3 * of["miho.fit, start"], 1.0, "ms"),
+        at_most("against curve_fit", of["miho.fit"] / of["curve_fit"], 5.0, "times"),
     ]
     if "lmfit" in of:
-        bars.append(Bar("against lmfit", of["miho.fit"] / of["lmfit"], AT_MOST, 1.0, "times"))
+        bars.append(at_most("against lmfit", of["miho.fit"] / of["lmfit"], 1.0, "times"))
     notes = []
     first = first_fits()
-    bars.append(Bar("the README's fit, first", first["the README's"], AT_MOST, 0.3, "s of CPU"))
+    bars.append(at_most("the README's fit, first", first["the README's"], 0.3, "s of CPU"))
     notes.append("first fits, CPU s: " + ", ".join(f"{k} {v:.2f}" for k, v in first.items()))
     frame["speedup"] = of["curve_fit"] / frame["seconds"]
     return Measured(frame.assign(ms=1e3 * frame["seconds"])[["form", "ms"]], frame, bars, notes)

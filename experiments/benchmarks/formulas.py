@@ -22,15 +22,7 @@ import numpy as np
 import pandas as pd
 
 from baselines.problems.published_model import FORMS, PublishedModel
-from experiments.benchmarks.bars import (
-    AT_LEAST,
-    AT_MOST,
-    Bar,
-    Measured,
-    benchmark,
-    interleaved,
-    shown,
-)
+from experiments.benchmarks.bars import Measured, at_least, at_most, benchmark, interleaved, shown
 from miho.core import Tape, machine
 from miho.models.expression import Expression
 from miho.models.formula_tape import traced_tapes, traced_together
@@ -145,12 +137,12 @@ def measure(quick: bool) -> Measured:
     magic = table["formula"] == MAGIC
     tire = table[table["formula"] == TIRE]
     bars = [
-        *(Bar(f"{TIRE} by {level}, a row", tire[level].min(), AT_MOST, most, "ns")
+        *(at_most(f"{TIRE} by {level}, a row", tire[level].min(), most, "ns")
           for level, most in TIRE_COST.items() if level in levels),
-        Bar(f"published formulas by {two_tapes(levels[-1])}, over NumPy, median",
-            published.median(), AT_LEAST, 1, "times"),
-        Bar("a new formula", table.loc[~magic, "ready [ms]"].median(), AT_MOST, NEW_FORMULA, "ms"),
-        Bar(f"a new {MAGIC}", table.loc[magic, "ready [ms]"].min(), AT_MOST, NEW_MAGIC_FORMULA,
+        at_least(f"published formulas by {two_tapes(levels[-1])}, over NumPy, median",
+            published.median(), 1, "times"),
+        at_most("a new formula", table.loc[~magic, "ready [ms]"].median(), NEW_FORMULA, "ms"),
+        at_most(f"a new {MAGIC}", table.loc[magic, "ready [ms]"].min(), NEW_MAGIC_FORMULA,
             "ms"),
     ]  # fmt: skip
     notes = [f"ns a row; published formulas: least gain over NumPy {published.min():.2f}"]

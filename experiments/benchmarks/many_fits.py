@@ -24,7 +24,7 @@ import pandas as pd
 from scipy.optimize import curve_fit
 
 import miho
-from experiments.benchmarks.bars import AT_LEAST, Bar, Measured, benchmark, turns
+from experiments.benchmarks.bars import Measured, at_least, benchmark, turns
 from miho.quantities import Array
 
 DATASETS, ROWS, LOOPED = 10_000, 50, 300
@@ -76,19 +76,19 @@ def measure(quick: bool) -> Measured:
     frame["speedup"] = seconds["curve_fit, start"] / frame["seconds"]
     rate = dict(zip(frame["form"], frame["fits a second"], strict=True))
     bars = [
-        Bar("fit_many from a start", rate["fit_many, start"], AT_LEAST, 100_000, "fits/s"),
-        Bar("fit_many without a start", rate["fit_many"], AT_LEAST, 50_000, "fits/s"),
+        at_least("fit_many from a start", rate["fit_many, start"], 100_000, "fits/s"),
+        at_least("fit_many without a start", rate["fit_many"], 50_000, "fits/s"),
     ]
     if batched is not None:
         each = dict(zip(frame["form"], frame["fits a CPU second"], strict=True))
         bars.append(
-            Bar("fit_many over JAX, CPU", each["fit_many, start"] / each[JAX], AT_LEAST, OVER_JAX,
+            at_least("fit_many over JAX, CPU", each["fit_many, start"] / each[JAX], OVER_JAX,
                 "times")
         )  # fmt: skip
     for name, initial in (("start", start), ("no start", None)):
         table = miho.fit_many(decay, t, y, BOX, start=initial)
         share = float(np.mean(_as_good(table, t, y, truth)))
-        bars.append(Bar(f"as good as SciPy's from the truth, {name}", share, AT_LEAST, 1.0))
+        bars.append(at_least(f"as good as SciPy's from the truth, {name}", share, 1.0))
     return Measured(frame[["form", "fits a second", "fits a CPU second", "speedup"]], frame, bars)
 
 

@@ -23,7 +23,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
+from experiments.benchmarks.bars import Measured, at_least, at_most, benchmark, shown
 from experiments.benchmarks.sleeping import (
     PROCESSES,
     SIGMA,
@@ -233,13 +233,13 @@ def measure(quick: bool, check: bool) -> Measured:
         f"a simulation of the car took {1e3 * times.mean():.3g} ms, {_quantiles(times)}",
         *(f"{name} gets there in {reached[name]:.0%} of runs" for name in METHODS),
     ]
-    bars = [Bar("the runs' share that gets there", float(reached.min()), AT_LEAST, 0.5)]
+    bars = [at_least("the runs' share that gets there", float(reached.min()), 0.5)]
     if check:
         rows = pd.DataFrame(list(shown(checked(quick, spreads, overhead))))
         columns = ["method", "spread", "workers", "seconds", "simulated_seconds", "ratio"]
         notes.append(rows[columns].to_string(index=False, float_format="{:.3g}".format))
         off = float(np.median(np.abs(rows["ratio"] - 1)))
-        bars.append(Bar("simulated against real seconds, median difference", off, AT_MOST, NEAR))
+        bars.append(at_most("simulated against real seconds, median difference", off, NEAR))
         frame = pd.concat([frame, rows], ignore_index=True)
     facts = {
         "seconds_an_evaluation": SECONDS,

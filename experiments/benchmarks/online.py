@@ -25,7 +25,7 @@ import pandas as pd
 from baselines.online import tire
 from baselines.online.streams import FORCE_NOISE
 from experiments.app.explain import ConfigError, unknown_message
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
+from experiments.benchmarks.bars import Bar, Measured, at_least, at_most, benchmark, shown
 from experiments.benchmarks.online_methods import CONTENDERS, Contender
 from experiments.benchmarks.online_scores import Progress, scored, stream, tuning_error
 
@@ -152,36 +152,36 @@ def bars(frame: pd.DataFrame) -> list[Bar]:
     for prefix, name in (("", "tire"), ("car ", "car")):
         limits = {"10 %": 0.26, "5 %": 0.32, "alarm s": 0.12}
         judged += [
-            Bar(f"{name}: delay, {column}", own[prefix + column], AT_MOST, limit, "s")
+            at_most(f"{name}: delay, {column}", own[prefix + column], limit, "s")
             for column, limit in limits.items()
         ]
         errors = {"error": 0.7, "error outliers": 0.7, "error ramp": 1.5}
         judged += [
-            Bar(f"{name}: mean {column}", own[prefix + column], AT_MOST, limit, "%")
+            at_most(f"{name}: mean {column}", own[prefix + column], limit, "%")
             for column, limit in errors.items()
         ]
         if peers:
             ratio = own[prefix + "error"] / min(row.get(prefix + "error", np.inf) for row in peers)
-            judged.append(Bar(f"{name}: error on jumps / best peer's", ratio, AT_MOST, 0.7))
+            judged.append(at_most(f"{name}: error on jumps / best peer's", ratio, 0.7))
         most = own[prefix + "most alarms"]
-        judged.append(Bar(f"{name}: alarms of one change", most, AT_MOST, 1))
+        judged.append(at_most(f"{name}: alarms of one change", most, 1))
         moved, grown = own[prefix + "moved sd"], own[prefix + "interval grows"]
-        judged.append(Bar(f"{name}: straight of 5 min, D moves", moved, AT_MOST, 0.1, "sd"))
-        judged.append(Bar(f"{name}: straight of 5 min, interval grows", grown, AT_LEAST, 1.0))
+        judged.append(at_most(f"{name}: straight of 5 min, D moves", moved, 0.1, "sd"))
+        judged.append(at_least(f"{name}: straight of 5 min, interval grows", grown, 1.0))
         for column in ("before", "after", "mixed"):
             value = own[prefix + column]
-            judged.append(Bar(f"{name}: coverage {column}", value, AT_LEAST, 0.92))
-            judged.append(Bar(f"{name}: coverage {column}", value, AT_MOST, 0.98))
+            judged.append(at_least(f"{name}: coverage {column}", value, 0.92))
+            judged.append(at_most(f"{name}: coverage {column}", value, 0.98))
     judged += [
-        Bar("tire: delay, 10 %, with outliers", own["10 % outliers"], AT_MOST, 0.26, "s"),
-        Bar("tire: coverage in ramps", own["ramp"], AT_LEAST, 0.85),
-        Bar("tire: false alarms an hour", own["false an hour"], AT_MOST, 0.5),
-        Bar("tire: hours without a change", own["hours"], AT_LEAST, 20, "h"),
-        Bar("faults: recovery", own["recovery"], AT_MOST, 1.0, "s"),
-        Bar("one update", own["us"], AT_MOST, 50, "us"),
+        at_most("tire: delay, 10 %, with outliers", own["10 % outliers"], 0.26, "s"),
+        at_least("tire: coverage in ramps", own["ramp"], 0.85),
+        at_most("tire: false alarms an hour", own["false an hour"], 0.5),
+        at_least("tire: hours without a change", own["hours"], 20, "h"),
+        at_most("faults: recovery", own["recovery"], 1.0, "s"),
+        at_most("one update", own["us"], 50, "us"),
     ]
     judged += [
-        Bar(f"fault {kind}: largest error of D", own[f"fault {kind}"], AT_MOST, 1.5, "%")
+        at_most(f"fault {kind}: largest error of D", own[f"fault {kind}"], 1.5, "%")
         for kind in ("nan", "dropout", "missing", "frozen", "time")
     ]
     return judged

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from experiments.benchmarks.bars import Measured, at_most, benchmark, interleaved
 from experiments.benchmarks.sleeping import DASK, PROCESSES, engines, started
 from miho.optim import Budget, Oracle, Parameter, Problem, Space
 from miho.quantities import Array
@@ -89,12 +89,12 @@ def measure(quick: bool) -> Measured:
     ]
     worst = max(row["us"] for row in rows[2:] if "none" in row["name"])
     name = "recorder per evaluation, batches of 10+, none improve"
-    bars, notes = [Bar(name, worst, AT_MOST, 1.0, "us")], []
+    bars, notes = [at_most(name, worst, 1.0, "us")], []
     for engine in engines():
         seconds = tasks(engine, 2 if quick else TURNS)
         rows.append({"name": f"a task, {engine}", "us": 1e6 * seconds / TASKS})
         name = f"{TASKS:,} tasks of nothing, {engine}"
-        bars.append(Bar(name, seconds, AT_MOST, LIMITS[engine], "s"))
+        bars.append(at_most(name, seconds, LIMITS[engine], "s"))
     if DASK not in engines():
         notes.append("left out: Dask, which is not installed (extra cluster)")
     frame = pd.DataFrame(rows)

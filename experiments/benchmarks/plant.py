@@ -17,15 +17,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.app.front_axle import car_of_paper
-from experiments.benchmarks.bars import (
-    AT_LEAST,
-    AT_MOST,
-    Bar,
-    Measured,
-    benchmark,
-    interleaved,
-    turns,
-)
+from experiments.benchmarks.bars import Measured, at_least, at_most, benchmark, interleaved, turns
 from miho.vehicle.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.vehicle.driving import Command, Driver, KnownCar, Vehicle, ims, lvms, road_of, simulate
 from miho.vehicle.driving.double_track import DoubleTrack
@@ -105,9 +97,9 @@ def measure(quick: bool) -> Measured:
     fast, planned = speeds(car, quick), plans(vehicle)
     laps = [lap_time(vehicle, step) for step in (1e-3, 5e-4)]
     bars = [
-        Bar("real time factor", float(fast["times real time"].iloc[0]), AT_LEAST, 50.0),
-        Bar("half the step: lap time, relative", abs(laps[1] / laps[0] - 1), AT_MOST, 1e-4),
-        Bar("a plan of LVMS", float(planned["plan [ms]"].max()), AT_MOST, 50.0, "ms"),
+        at_least("real time factor", float(fast["times real time"].iloc[0]), 50.0),
+        at_most("half the step: lap time, relative", abs(laps[1] / laps[0] - 1), 1e-4),
+        at_most("a plan of LVMS", float(planned["plan [ms]"].max()), 50.0, "ms"),
     ]
     notes = [
         f"lap of IMS in closed loop: {laps[0]:.6f} s, half the step {laps[1]:.6f} s\n",

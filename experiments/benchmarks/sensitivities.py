@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from experiments.benchmarks.bars import Measured, at_most, benchmark, interleaved
 from miho.models import Model
 from miho.models.model import central_differences
 from miho.quantities import Array
@@ -69,7 +69,7 @@ def measure(quick: bool) -> Measured:
     table["evaluations"] = table["us"] / table["us"][0]
     first = min(first_use(inputs) for _ in range(5))
     ratio = seconds["and sensitivities"] / seconds["values"]
-    bars = [Bar(f"with sensitivities, {ROWS} rows", ratio, AT_MOST, 8, "evaluations")]
+    bars = [at_most(f"with sensitivities, {ROWS} rows", ratio, 8, "evaluations")]
     alone = 1e3 * (seconds["and sensitivities"] - seconds["values"])
     notes = [
         f"a trajectory with its sensitivities alone: {alone:.2f} ms",

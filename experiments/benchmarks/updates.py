@@ -25,7 +25,7 @@ import pandas as pd
 
 import miho
 from baselines.online import tire
-from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.bars import Measured, at_most, benchmark
 from experiments.benchmarks.online_records import arguments
 from miho.quantities import Array
 
@@ -129,12 +129,12 @@ def measure(quick: bool) -> Measured:
         for name, us in each.items()
     ])  # fmt: skip
     bars = [
-        Bar("5 parameters, median", float(np.median(small)), AT_MOST, 50, "us"),
-        Bar("5 parameters, 99 %", float(np.quantile(small, 0.99)), AT_MOST, 200, "us"),
-        Bar("5 parameters, worst", small.max(), AT_MOST, 5000, "us"),
-        Bar("12 parameters, 3 outputs, median", float(np.median(wide)), AT_MOST, 500, "us"),
-        Bar("more memory after 10 times the rows", growth, AT_MOST, 1000, "kB"),
-        Bar("a client, 99 %", float(np.quantile(client, 0.99)), AT_MOST, 5000, "us"),
+        at_most("5 parameters, median", float(np.median(small)), 50, "us"),
+        at_most("5 parameters, 99 %", float(np.quantile(small, 0.99)), 200, "us"),
+        at_most("5 parameters, worst", small.max(), 5000, "us"),
+        at_most("12 parameters, 3 outputs, median", float(np.median(wide)), 500, "us"),
+        at_most("more memory after 10 times the rows", growth, 1000, "kB"),
+        at_most("a client, 99 %", float(np.quantile(client, 0.99)), 5000, "us"),
     ]
     return Measured(frame, frame, bars, facts={"seed": SEED})
 
