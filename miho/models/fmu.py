@@ -190,8 +190,7 @@ class FmuModel(Remade, ExternalModel):
     def _unit(self, name: str, variable: str) -> str:
         """Return the unit of a name: given by `units` or by the FMU, otherwise ""."""
         declared = self._variables[variable]
-        simple = declared.declaredType
-        unit = declared.unit or (simple.unit if simple is not None else None)
+        unit = declared.unit or getattr(declared.declaredType, "unit", None)
         return self.units.get(name, _spelled(unit))
 
     @cached_property
