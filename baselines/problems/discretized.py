@@ -112,10 +112,6 @@ def _parabola(scale: float, n: int) -> Values:
     return scale * t * (t - 1)
 
 
-def _reactor_low(n: int) -> Values:
-    return np.concatenate([np.zeros(n // 2), np.full(n // 2, 1e-6)])
-
-
 SYSTEMS = {
     "bdvalues": System(bdvalues, partial(_parabola, 1000.0), same),
     "morebvne": System(morebvne, partial(_parabola, 1.0), same),
@@ -126,6 +122,6 @@ SYSTEMS = {
     "bratu2dt": System(partial(bratu, 2, TURNING), all_at(0.0), same),
     "bratu3d": System(partial(bratu, 3, TURNING), all_at(0.0), same),
     "cbratu2d": System(cbratu2d, all_at(0.0), same),
-    "chemrcta": System(chemrcta, all_at(1.0), same, low=_reactor_low),
+    "chemrcta": System(chemrcta, all_at(1.0), same, low=lambda n: np.repeat([0.0, 1e-6], n // 2)),
     "chemrctb": System(chemrctb, all_at(1.0), same, low=all_at(1e-6)),
 }

@@ -150,26 +150,18 @@ def _freudenstein_start(n: int) -> Values:
     return np.concatenate([[0.5, -2.0], np.zeros(n - 2)])
 
 
-def _powell_start(n: int) -> Values:
-    return np.tile([3.0, -1.0, 0.0, 1.0], n // 4)
-
-
-def _equispaced(n: int) -> Values:
-    return counted(n)[:, 0] / (n + 1)
-
-
 SYSTEMS = {
     "linear_full_rank": System(linear_full_rank, all_at(1.0), lambda n: 5 * n),
     "linear_rank_1": System(linear_rank_1, all_at(1.0), lambda n: 5 * n),
     "linear_rank_1_zeros": System(linear_rank_1_zeros, all_at(1.0), lambda n: 5 * n),
     "rosenbrock": System(rosenbrock, lambda n: (-1.2, 1.0), same),
     "helical_valley": System(helical_valley, lambda n: (-1.0, 0.0, 0.0), same),
-    "powell_singular": System(powell_singular, _powell_start, same),
+    "powell_singular": System(powell_singular, lambda n: np.tile([3.0, -1, 0, 1], n // 4), same),
     "freudenstein_roth": System(freudenstein_roth, _freudenstein_start, lambda n: 2 * n - 2),
     "watson": System(watson, all_at(0.5), lambda n: 31),
     "box_3d": System(box_3d, lambda n: (0.0, 10.0, 20.0), lambda n: 10),
     "brown_dennis": System(brown_dennis, lambda n: (25.0, 5.0, -5.0, -1.0), lambda n: 20),
-    "chebyquad": System(chebyquad, _equispaced, same),
+    "chebyquad": System(chebyquad, lambda n: counted(n)[:, 0] / (n + 1), same),
     "brown_almost_linear": System(brown_almost_linear, all_at(0.5), same),
     "bdqrtic": System(bdqrtic, all_at(1.0), lambda n: 2 * n - 8),
     "cube": System(cube, all_at(0.5), same),
