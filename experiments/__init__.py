@@ -1,7 +1,5 @@
 """Commands, run from the checkout: Hydra composes the configuration, the library does the work."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from types import TracebackType

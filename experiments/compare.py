@@ -13,8 +13,6 @@ python -m experiments.compare experiment=arena_small # the same, small, two minu
 python -m experiments.compare experiment=arena_sets  # two published sets of test problems
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

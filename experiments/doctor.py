@@ -7,8 +7,6 @@ python -m experiments.doctor runs/identify --quarantine
 Exit codes: 0 no check failed, 2 no such folder, 3 a check failed.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from itertools import chain

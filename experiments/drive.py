@@ -7,8 +7,6 @@ python -m experiments.drive -m experiment=ims_obstacle drive.performance_factor=
 If the car leaves the road, the drive is written and drawn as usual, and the exit code is 6.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

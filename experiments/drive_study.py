@@ -7,8 +7,6 @@ A seed draws the noise of the measurements, of the dyno and of the lap. Seeds th
 the same code and settings are not repeated.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

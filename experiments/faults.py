@@ -11,8 +11,6 @@ Exit codes: 0 every row is met, or not judged because the machine is busy; 2 no 
 missed, missing or broken. The command needs pytest and pytest-xdist, which `make test` installs.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import sys

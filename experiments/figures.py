@@ -11,8 +11,6 @@ python -m experiments.figures fig4_right # the front axle on laps that the fit d
 python -m experiments.figures fig5   # torque curves and engine map (after `identify` on torque_*)
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ python -m experiments.gallery              # all of them, some 20 CPU seconds
 python -m experiments.gallery tire prior   # only these
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import runpy

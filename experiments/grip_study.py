@@ -6,8 +6,6 @@ python -m experiments.grip_study experiment=grip_falls comparison.repetitions=1 
 A seed draws the time of the fall, in the middle of the lap, and the noise of the measurements.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10
 python -m experiments.identify -m experiment=paper_fig6    # the paper's comparison, 70 minutes
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ python -m experiments.notebooks            # all notebooks, about two minutes
 python -m experiments.notebooks read_a_sweep
 """
 
-from __future__ import annotations
-
 import os
 import re
 import socket

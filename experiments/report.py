@@ -10,8 +10,6 @@ python -m experiments.report runs/identify/PROBLEM/METHOD/ID --next candidates.c
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID --posterior
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

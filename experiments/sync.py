@@ -10,8 +10,6 @@ straight lines; the true curve is a step function, stored completely in curve.cs
 MLflow stores absolute paths: after a root was moved, delete its folder .mlflow and copy again.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import shlex

@@ -11,8 +11,6 @@ optionally "time"; each line on stdout is the state after it. In a terminal, the
 in place. Ctrl-C keeps all states so far; online.resume=true continues from there.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Build the problem, the method and the identity of a run from a composed configuration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields

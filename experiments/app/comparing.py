@@ -1,7 +1,5 @@
 """Runs of an arena: many methods on many problems."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """Composition of configurations from conf/ with the compose API of Hydra."""
 
-from __future__ import annotations
-
 import copy
 import json
 import sys

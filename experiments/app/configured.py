@@ -1,7 +1,5 @@
 """Current facts in conf/ about the problems of finished runs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

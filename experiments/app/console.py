@@ -1,7 +1,5 @@
 """The frame of all commands: help, composition by Hydra, errors in one line, and exit codes."""
 
-from __future__ import annotations
-
 import argparse
 import functools
 import inspect

@@ -1,7 +1,5 @@
 """Figures of the paper and of an arena, drawn from the runs of a root."""
 
-from __future__ import annotations
-
 import math
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """Execution of one run, unless it is stored, and its result in one line."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Mapping

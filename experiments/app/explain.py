@@ -1,7 +1,5 @@
 """Error messages on command lines and configurations, in one line with a remedy."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence

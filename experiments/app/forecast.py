@@ -1,7 +1,5 @@
 """Before a search on the user's data: a preview of the file, and a forecast of the run time."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The pages of the manual's gallery, one for each example, an index, and the FMU of an example."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

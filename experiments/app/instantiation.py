@@ -6,8 +6,6 @@ code. The exceptions are files that the user names on the command line or in a Y
 method with `optimizer.path` is a class of that file.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path

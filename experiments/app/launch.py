@@ -4,8 +4,6 @@ Jobs that differ only in their seed are planned together and share one compositi
 composition takes a tenth of a second.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

@@ -3,8 +3,6 @@
 This file imports only the standard library, so that any version of Python can run it.
 """
 
-from __future__ import annotations
-
 import ast
 from typing import Any
 

@@ -5,8 +5,6 @@ written, a run that it has is left alone. `python -m experiments.sync ROOT` does
 and a failing tracker never affects a run.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import re

@@ -3,8 +3,6 @@
 MLflow stores absolute paths: after a root was moved, delete its folder .mlflow and copy again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import importlib

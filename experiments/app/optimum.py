@@ -1,7 +1,5 @@
 """The report of a stored run, and advice if its optimum is in doubt."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ A table lists published problems, each in a box by rule: `conf/problem/published
 known error of each and the evidence for it; `baselines.problems.posed` has the rule.
 """
 
-from __future__ import annotations
-
 import csv
 import textwrap
 from collections.abc import Mapping, Sequence

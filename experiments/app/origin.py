@@ -1,7 +1,5 @@
 """Digests of the code that a run uses, and versions of the packages that it uses."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """The parts of a joint problem in a configuration: their models, datasets and parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """Progress of a run on a terminal, outside the time that the run measures."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys

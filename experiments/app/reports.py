@@ -1,7 +1,5 @@
 """Reports on stored runs for the commands, with progress and with the facts in conf/."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

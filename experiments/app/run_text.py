@@ -1,7 +1,5 @@
 """Console output about finished runs, and the exit code."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections import Counter

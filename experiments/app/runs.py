@@ -3,8 +3,6 @@
 Single runs, sweeps, comparisons and the identification of a car's parts all run here.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import Counter, deque

@@ -8,8 +8,6 @@ launchers, come only from the command line, from conf/ or from --config-dir, and
 result.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

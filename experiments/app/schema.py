@@ -1,7 +1,5 @@
 """The schema of configurations: all keys with their types and defaults."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Signals that end a command; after the first one, the runs stop and keep their best so far."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import socket

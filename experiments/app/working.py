@@ -1,7 +1,5 @@
 """Execution of a requested run in a worker, and the resulting state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

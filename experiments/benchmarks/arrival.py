@@ -7,8 +7,6 @@ configuration on all rows: every run needs at least one, because it records that
 reached. The last column is the share of the model's values in the time of `miho_gn`.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Common parts of the benchmarks of speed: machine, table, bars with a verdict, optional files."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

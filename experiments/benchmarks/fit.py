@@ -7,8 +7,6 @@ python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 fits run in a separate process; their seconds are CPU time after `import miho`.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess

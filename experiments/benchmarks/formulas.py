@@ -10,8 +10,6 @@ derivatives. "ready" is the cost of a new formula before its first evaluation: t
 derivatives, and compilation of both tapes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial

@@ -9,8 +9,6 @@ rows. A figure is the least of several turns in which the methods alternate, bec
 the machine makes single turns longer.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from functools import partial

@@ -10,8 +10,6 @@ NumPy's `fit_many` is one call with a function that cannot be traced. JAX makes 
 batched steps for all datasets, compiled before (`jax_fits`).
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import time

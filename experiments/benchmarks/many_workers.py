@@ -10,8 +10,6 @@ workers sleep as well, in smaller searches that end by themselves; their seconds
 the virtual seconds.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping

@@ -12,8 +12,6 @@ best; without it the settings in use are the results of an earlier `--tune`. Slo
 a share of the seeds and hours. The oracle knows all but D, and the end of its fall.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

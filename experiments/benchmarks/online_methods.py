@@ -4,8 +4,6 @@
 the tuning seeds; CHOSEN are its results, which are in `conf/tracker` too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product

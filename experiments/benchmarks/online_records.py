@@ -1,7 +1,5 @@
 """Runs of online methods over streams: estimates, intervals and alarms in each row, and scores."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

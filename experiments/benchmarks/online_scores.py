@@ -1,7 +1,5 @@
 """Scores of one online method on all streams, with alarms calibrated on other seeds."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

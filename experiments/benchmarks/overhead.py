@@ -8,8 +8,6 @@ more. Processes and Dask run 1,000 tasks that return their argument, with two wo
 start before. The median of several turns counts.
 """
 
-from __future__ import annotations
-
 import operator
 import time
 from collections.abc import Callable, Iterator

@@ -8,8 +8,6 @@ Accuracy is the change with half the step in a lap of IMS in closed loop, with b
 turns. Plans are of a lap of LVMS; the median of 30 counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -23,8 +23,6 @@ With `--wider 30` each range is thirty times as wide around its middle; on a log
 ends are a factor of thirty further out. The wider range may contain a better optimum.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

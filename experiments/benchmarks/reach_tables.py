@@ -1,7 +1,5 @@
 """Tables of the evaluations until runs reached an optimum, and until they stopped by themselves."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

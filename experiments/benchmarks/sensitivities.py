@@ -9,8 +9,6 @@ alternating calls counts. A first use of a new model is the CPU time from the ri
 first values and sensitivities.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

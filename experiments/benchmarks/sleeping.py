@@ -9,8 +9,6 @@ steering test, simulated by SciPy's `solve_ivp` with default settings (RK45, ada
 axles need more steps, a sliding car fewer.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import heapq

@@ -8,8 +8,6 @@ client sends lines of JSON to `experiments.track` and waits for each state. The 
 interruptions by other processes too.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import subprocess

@@ -16,8 +16,6 @@ wrong_shapes        how often a report says that a model has the wrong shape
 Checks that take only seconds are also tests, in tests/experiments/test_check.py.
 """
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 
 

@@ -6,8 +6,6 @@ mpmath with 60 digits (2 seconds):
     python -m experiments.check.coefficients
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

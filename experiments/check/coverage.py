@@ -26,8 +26,6 @@ report's intervals are about its optimum, which may be better. "alone" are the i
 optimum without the other optima. The last line gives how often the report names several optima.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

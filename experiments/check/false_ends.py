@@ -10,8 +10,6 @@ counts runs that are right without a claim. A `badly` wrong run has an error mor
 best.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor

@@ -4,8 +4,6 @@ Each draw has new parameters, rows and noise. The boxes are as wide as a user wo
 knows little about the parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

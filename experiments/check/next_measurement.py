@@ -8,8 +8,6 @@ for random choices of 40 rows, datasets with new noise on all rows are fitted. T
 spread of these estimates, which does not rely on linearisation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -9,8 +9,6 @@ If a starting value is negative, the box is linear, up to ten times the larger m
 sides of zero. The other solvers get the two published starting points and no box.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import itertools

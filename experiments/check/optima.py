@@ -9,8 +9,6 @@ from the ten best ends; it needs no derivatives and so passes kinks at which the
 with 1 if a recorded optimum is beaten by more than 1e-9 or missed by more than 1e-7 (relative).
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import multiprocessing

@@ -8,8 +8,6 @@ sensor noise. The table and its provenance are written to ROOT/table.csv and
 ROOT/printed_equations.json.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import math

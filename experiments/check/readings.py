@@ -11,8 +11,6 @@ so a busy machine does not change them. Writes the table of readings by claims, 
 their intervals, the curves, and provenance.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -10,8 +10,6 @@ two datasets share the rate, with different amplitudes and unequal noise, stated
 `two sets` is searched by `fit_joint`, the other cases by a descent from the truth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

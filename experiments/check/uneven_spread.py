@@ -9,8 +9,6 @@ coverage of a and b by the linearised interval and by the sandwich (HC3), and th
 for which a report notes uneven errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 

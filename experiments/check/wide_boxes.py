@@ -8,8 +8,6 @@ real tires. A run is right if its loss is at most 1e-4 above the loss after a de
 parameters; it claims an optimum if it ends by evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

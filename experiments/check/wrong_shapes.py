@@ -11,8 +11,6 @@ says that the model has the wrong shape (`wrong shape`; in one sweep it adds "or
 drifts"), or that the data cannot distinguish this from drifting noise (`cannot tell`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 

@@ -1,7 +1,5 @@
 """Checks whether this machine can measure seconds now, and has the packages of pyproject.toml."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

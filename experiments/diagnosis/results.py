@@ -1,7 +1,5 @@
 """Checks of a folder of runs: damage, missing runs, and files of interrupted runs."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import json

@@ -1,7 +1,5 @@
 """The car model of planner and controllers: identified from the embedded data, or the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType

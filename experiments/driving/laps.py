@@ -1,7 +1,5 @@
 """The same lap on several sets of parameters, for one seed of the study."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Files of a drive in its root: logs, figure, table and provenance."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The node `drive` of a configuration: road, line, vehicle and driver, and the drive."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The seeds of a study of laps: its jobs, their execution in workers, and its table."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import deque

@@ -1,7 +1,5 @@
 """Files after a session, and scores on a stream with known truth, and their comparison."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A session with its files, and for a stream with known truth its stored score."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

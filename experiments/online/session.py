@@ -1,7 +1,5 @@
 """A session: each row updates the method; its state is answered, stored, shown in a terminal."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Sources of rows: JSON lines on stdin or a socket, a replayed dataset, a synthetic stream."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Scores of sessions, each stored with the identity of its session, and found again by it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """All that a session needs, from a configuration: problem, prior, method and source."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Hydra imports this file at the start of every command, so it imports what it needs when it launches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

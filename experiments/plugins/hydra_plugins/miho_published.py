@@ -3,8 +3,6 @@
 Hydra imports this file at the start of every command. The table is read at its first use.
 """
 
-from __future__ import annotations
-
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult, ConfigSource
