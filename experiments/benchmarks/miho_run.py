@@ -21,7 +21,7 @@ import pandas as pd
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.bars import Measured, at_least, at_most, benchmark
 from miho.optim import MIHO, RunRecord, Space, hyperband_table, minimize
 from miho.optim.seeds import stream
 from miho.quantities import Array
@@ -112,8 +112,8 @@ def measure(quick: bool) -> Measured:
     faster = float(table["speedup, seconds"].iloc[-1])
     apart = float(table["difference"].abs().max())
     bars = [
-        Bar(STOPPED, faster, AT_LEAST, 40, "times the plain loop"),
-        Bar("final loss on the full data, largest difference", apart, AT_MOST, 1e-9, "relative"),
+        at_least(STOPPED, faster, 40, "times the plain loop"),
+        at_most("final loss on the full data, largest difference", apart, 1e-9, "relative"),
     ]
     notes = [
         f"R = {R}, eta = {eta}, {len(fit.dataset)} rows, {best.evaluations:,} evaluations; seconds "

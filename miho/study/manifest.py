@@ -54,8 +54,8 @@ def write_manifest(
         place = [identity.problem, identity.optimizer, identity.id]
         entries[words] = {"place": place, "config": numbers[id(identity.config)]}
     values = {"parts": [*map(json.loads, parts)], "configs": [*map(json.loads, configs)]}
-    about = {"command": command, "overrides": list(overrides), "root": str(root), **values}
-    about["runs"] = entries
+    made_by = {"command": command, "overrides": list(overrides), "root": str(root)}
+    about = {**made_by, **values, "runs": entries}
     write_text(path, canonical(about) + "\n")
 
 
