@@ -123,6 +123,9 @@ def _tolerance(values: Callable[[Array], Array], theta: Array) -> Array:
         moved = theta.copy()
         moved[k] *= 1 + MOVED
         tolerance = np.maximum(tolerance, ROUNDINGS * _largest(values(moved) - unmoved))
+        # The derivative of a * (1 - exp(-t / b)) may cancel as far as it changes no residual.
+        no_effect = CLOSE * _largest(unmoved[0]) / abs(theta[k])
+        tolerance[k + 1] = np.maximum(tolerance[k + 1], no_effect)
     return tolerance
 
 
