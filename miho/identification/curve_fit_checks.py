@@ -131,9 +131,9 @@ def _trials_of(model: FunctionModel, space: Space) -> Array:
         shares = np.full((TRIALS, len(box)), 0.5)
         shares[:, own] = u[:, places]
         low, high = box.bounds
-        normal = np.array([parameter.std is not None for parameter in box.parameters])
+        normal = [parameter.std is not None for parameter in box.parameters]
         drawn = low + (high - low) * shares
-        if normal.any():
+        if any(normal):
             drawn = np.where(normal, box.quantiles(shares), drawn)
         thetas[:, places] = box.decode(drawn)[:, own]
     return thetas

@@ -46,21 +46,15 @@ def row_order(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
     """
     order = rng.permutation(inputs[0].size)
     most = min(COVERING, math.isqrt(order.size - 1) + 1)
-    covering = covering_rows(inputs, order, most, rng)
-    return merged(order, covering, np.arange(covering.size) ** 2)
-
-
-def covering_rows(
-    inputs: Sequence[Array], order: Rows, most: int, rng: np.random.Generator
-) -> Rows:
-    """The first `most` rows that cover the range of the inputs; `order` (N,) is random."""
-    pool = order[:POOL]
+    pool, chances = order[:POOL], _uniform(rng)
     columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
     if len(columns) == 1:
         places = np.argsort(columns[0], kind="stable")
-        line = _on_line(columns[0][places].tolist(), places, _uniform(rng), 0, pool.size)
-        return pool[list(islice(line, most))]
-    return np.fromiter(islice(_covering(columns, pool, _uniform(rng)), most), order.dtype)
+        line = _on_line(columns[0][places].tolist(), places, chances, 0, pool.size)
+        covering = pool[list(islice(line, most))]
+    else:
+        covering = np.fromiter(islice(_covering(columns, pool, chances), most), order.dtype)
+    return merged(order, covering, np.arange(covering.size) ** 2)
 
 
 def merged(order: Rows, covering: Rows, places: Rows) -> Rows:
@@ -103,7 +97,7 @@ def _covering(columns: list[Array], rows: Rows, chances: Iterator[float]) -> Ite
 def _on_line(
     values: list[float], places: Rows, chances: Iterator[float], i: int, j: int
 ) -> Iterator[int]:
-    """The `places` (N,) of the sorted values i to j, from the two halves of their box in turn."""
+    """The `places` (N,) of sorted values i to j, from both halves of their box in turn."""
     low, high = values[i], values[j - 1]
     if j - i <= FEW or not high > low:
         yield from sorted(places[i:j].tolist())
@@ -121,7 +115,7 @@ def _on_line(
 
 
 def _uniform(rng: np.random.Generator) -> Iterator[float]:
-    """Uniform random numbers, many of which are drawn at once."""
+    """Random numbers, drawn many at a time."""
     while True:
         yield from rng.random(COVERING).tolist()
 
