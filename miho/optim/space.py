@@ -377,7 +377,7 @@ class Space:
 
     @cached_property
     def _common(self) -> Array:
-        """First common initial configurations, which several parts of a fit use."""
+        """First common initial configurations."""
         return self.quantiles(_common_shares(len(self), *self.seed))
 
     def seeded(self, *seed: Part) -> Space:
@@ -390,5 +390,5 @@ class Space:
 
 @lru_cache(maxsize=256, typed=True)
 def _common_shares(d: int, *seed: Part) -> Array:
-    """Uniform random numbers (COMMON, d) of the common initial configurations with this seed."""
+    """Random numbers (COMMON, d) of the common initial configurations with this seed."""
     return stream("initial", *seed).random((COMMON, d))
