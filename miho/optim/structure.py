@@ -140,7 +140,7 @@ def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
     sums = np.concatenate([[0.0], np.cumsum(z[order])])
     windows, size = [], 2
     while size <= N // 4:
-        largest = float(np.maximum.reduce(np.abs(sums[size:] - sums[:-size])))
+        largest = float(np.abs(sums[size:] - sums[:-size]).max())
         windows.append(of_windows(largest / math.sqrt(size * (1 - size / N)), 4 * N / size))
         size *= 2
     # Up to N / 2 periods in the range, by steps of half a period, on a grid of cells that are half
