@@ -135,6 +135,11 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
     problem, result = experiment.problem, stored.result
     if result["theta"] is None:
         reasons = ", ".join(f"{n} x {reason}" for reason, n in result["rejected"].items())
+        if not result["evaluations"]:
+            return (
+                "the method ended without an evaluation; its `run` calls oracle(thetas), and the "
+                "budget must allow one"
+            )
         if not reasons:
             return (
                 "no configuration was evaluated on all rows of data within the budget; "

@@ -11,7 +11,9 @@ from omegaconf import DictConfig, open_dict
 
 from experiments.app.build import ConfigError, build, build_optimizer
 from experiments.app.compose import composed
+from experiments.app.execution import execution_of
 from experiments.app.plan import requests
+from experiments.app.run_text import result_text
 from experiments.app.runs import run
 from experiments.app.schema import SweepConfig
 from miho.study import Status
@@ -44,6 +46,11 @@ class Bare(miho.Optimizer):
     pass
 
 
+class Idle(miho.Optimizer):
+    def run(self, oracle, rng):
+        pass
+
+
 class Broken(Walk):
     def __init__(self):
         1 / 0
@@ -63,6 +70,13 @@ def config(file: Path, target: str | None = "Walk", **settings: object) -> DictC
         cfg.optimizer = {"_target_": target, "path": str(file)} | settings
         cfg.method = None
     return cfg
+
+
+def test_a_method_that_evaluates_nothing_is_named_as_such(file: Path) -> None:
+    experiment = build(config(file, "Idle"))
+    stored = execution_of(experiment).run
+    assert stored is not None
+    assert "the method ended without an evaluation" in result_text(experiment, stored)
 
 
 def test_it_runs_and_is_named_by_its_class(file: Path) -> None:
@@ -112,7 +126,7 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
         (
             "Wlak",
             {},
-            r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other, Broken$",
+            r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other, Idle, Broken$",
         ),
         ("MIHOGN", {}, "has no class MIHOGN"),
         ("Path", {}, "has no class Path"),
@@ -120,7 +134,7 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
         (
             None,
             {},
-            r"optimizer._target_: is missing; name a class of .*walk.py: Walk, Other, Broken$",
+            r"optimizer._target_: is missing; name a class of .*walk.py: Walk, Other, Idle, Broken$",
         ),
         ("Bare", {}, r"_target_: Bare in .*walk.py lacks run"),
         ("os.system", {}, "has no class os.system"),
