@@ -22,22 +22,10 @@ TOGETHER = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Estimates of parameters and states with their covariance; its arrays change in place.
+    """Estimates `theta` (D,) of d parameters, then of states, and their covariance `P` in units.
 
-    Parameters
-    ----------
-    theta : ndarray, shape (D,)
-        Estimates of the d parameters, then of the states.
-    P : ndarray, shape (D, D)
-        Their covariance, in units.
-    weight : ndarray, shape (1,)
-        Logarithm of the weight.
-    unit : ndarray, shape (D,)
-        Units of parameters and states.
-    d : int
-        Number of parameters.
-    rules : Rules
-        Settings.
+    `weight` (1,) is the logarithm of the weight. These arrays change in place. `unit` (D,) are the
+    units of parameters and states.
     """
 
     theta: Array

@@ -103,15 +103,7 @@ def is_motion(problem: object) -> TypeGuard[CurveFit]:
 
 @dataclass(frozen=True)
 class OneStep(TracedExpression):
-    """A state after one step of the classical Runge-Kutta method from the states of a row.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The differential equation.
-    state : str
-        The state.
-    """
+    """A state after one step of the classical Runge-Kutta method from the states of a row."""
 
     trajectory: Trajectory
     state: str
@@ -169,18 +161,10 @@ class OneStep(TracedExpression):
 
 @dataclass
 class StepRows:
-    """Consecutive rows of a motion as rows of one step each.
+    """Consecutive rows of a motion, of states and inputs by `names`, as rows of one step each.
 
-    Parameters
-    ----------
-    names : tuple of str
-        States and inputs.
-    time : str
-        Column of the time.
-    longest : float
-        Longest step; after a longer one, or a time that goes back, the motion starts anew.
-    unit : float
-        Unit of the time and of `longest` [s].
+    After a step above `longest`, or a `time` that goes back, the motion starts anew. `unit` is the
+    unit of both [s].
     """
 
     names: tuple[str, ...]

@@ -33,20 +33,9 @@ LEAST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """One output: its column, its model, and the standard deviation of its errors.
+    """One output: its column with a unit, its model, and the standard deviation of its errors.
 
-    Parameters
-    ----------
-    column, unit : str
-        Column of the output, and its unit.
-    model : Model
-        Model of the output.
-    parameters : tuple of str
-        Names of the model's parameters in the system, in the model's order.
-    sigma : float
-        Standard deviation of the errors, in `unit`.
-    columns : mapping of str to ndarray of shape (N,)
-        Columns of the offline data.
+    `parameters` are names in the system, in the model's order, and `columns` the offline data.
     """
 
     column: str
@@ -63,17 +52,7 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """All outputs, and the parameters with their bounds.
-
-    Parameters
-    ----------
-    outputs : tuple of Output
-        The outputs.
-    space : Space
-        The parameters of all outputs.
-    problems : sequence of CurveFit
-        The problems of the outputs.
-    """
+    """All outputs, the parameters with their bounds, and the problems of the outputs."""
 
     outputs: tuple[Output, ...]
     space: Space

@@ -32,16 +32,8 @@ RISE = 1.02
 class Population:
     """Hypotheses, each with parameters, covariance, weight, drift, and values at birth.
 
-    Parameters
-    ----------
-    layout : Layout
-        Sizes.
-    rules : Rules
-        Settings.
-    formula : RowFormula
-        The outputs of a row and their derivatives.
-    by_machine : bool, optional
-        Whether the machine of formulas updates, if it can.
+    `formula` has the outputs of a row and their derivatives. The machine of formulas updates, if it
+    can and `by_machine` holds.
     """
 
     def __init__(

@@ -21,26 +21,9 @@ def present_parameters(
     level: float,
     motion: CurveFit | None = None,
 ) -> Identified:
-    """Return the content of `parameters.json` for a state.
+    """Return the content of `parameters.json` for an output: all parameters at a state.
 
-    Parameters
-    ----------
-    system : System
-        The tracked system.
-    output : Output
-        The output whose model is described.
-    state : TrackerState
-        Present parameters.
-    level : float
-        Confidence level of the intervals.
-    motion : CurveFit, optional
-        The problem of a `Trajectory`, one step of which the output is.
-
-    Returns
-    -------
-    Identified
-        The model with all its parameters, also those that are fixed or tied. The model of a motion
-        is its `Trajectory`, or one step if the `Trajectory` has further parameters.
+    The model of a `motion` is its `Trajectory`, or one step if this has further parameters.
     """
     places = [system.names.index(name) for name in output.parameters]
     theta, ends = state.theta[places], state.intervals(level)[places]

@@ -35,13 +35,8 @@ PLACE = {name: k for k, name in enumerate(NUMBERS)}
 class Layout:
     """Sizes of a population, and the place of each of its arrays in one memory of doubles.
 
-    Parameters
-    ----------
-    K, d, m, p, q : int
-        Numbers of hypotheses, parameters, outputs, inputs, and inputs with noise, which come first.
-    n : int, optional
-        Number of states: the first inputs, whose values at the end of the row are the first
-        outputs.
+    It has K hypotheses, d parameters, m outputs and p inputs. The first q inputs have noise, and
+    the first n of these are states: their values at the end of the row are the first outputs.
     """
 
     K: int
@@ -94,27 +89,11 @@ class Layout:
 class Rules:
     """Numbers by which a population is updated.
 
-    Covariances and drifts are in the `unit` of each parameter.
-
-    Parameters
-    ----------
-    hazard, onset, outliers, width, threshold, near : float
-        As for `TrackerSettings`.
-    long, middle, short : float
-        Drifts of hypotheses of long, middle and short memory, `drifts` of `TrackerSettings`.
-    use, smooth, hold, repeats, gap, every, cap, step_error, burst, settle, wrong : float
-        As for `TrackerSettings`.
-    unit : ndarray of shape (d,)
-        Size of a jump of a watched parameter; standard deviation of another one before the first
-        row.
-    low, high : ndarray of shape (d,)
-        Bounds of the parameters.
-    watched : ndarray of shape (d,)
-        1 for a parameter that may jump, else 0.
-    sigma : ndarray of shape (m,)
-        Standard deviations of the errors of the outputs.
-    noise : ndarray of shape (q,)
-        Standard deviations of the first inputs.
+    Covariances and drifts are in the `unit` (d,) of each parameter: the size of a jump if it is
+    `watched` (1, else 0), and otherwise its standard deviation before the first row. Bounds are
+    `low` and `high` (d,). `sigma` (m,) are the standard deviations of the errors of the outputs,
+    `noise` (q,) those of the first inputs. `long`, `middle` and `short` are the `drifts` of
+    `TrackerSettings`, and all others its fields.
     """
 
     hazard: float

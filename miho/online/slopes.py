@@ -18,16 +18,9 @@ from miho.quantities import Array
 
 
 class Slopes(NamedTuple):
-    """Outputs of one row at K configurations, and their derivatives.
+    """Outputs (m, K) of one row at K configurations, and their derivatives.
 
-    Attributes
-    ----------
-    values : ndarray of shape (m, K)
-        Outputs.
-    parameters : ndarray of shape (m, K, d)
-        Derivatives by the parameters.
-    inputs : ndarray of shape (m, K, q)
-        Derivatives by the inputs with noise.
+    These are by the parameters (m, K, d), and by the inputs with noise (m, K, q).
     """
 
     values: Array
@@ -49,13 +42,6 @@ class TapedFormula(RowFormula):
 
     Its results are, for each output, the value, the d derivatives by the parameters, and the q
     derivatives by the first inputs, which have noise.
-
-    Parameters
-    ----------
-    tape : Tape
-        The tape.
-    outputs, d, q : int
-        Numbers of outputs, of parameters, and of inputs with noise.
     """
 
     tape: Tape
@@ -77,16 +63,8 @@ class TapedFormula(RowFormula):
 class ModelFormula(RowFormula):
     """Outputs and derivatives by the models' own functions, one configuration after the other.
 
-    Parameters
-    ----------
-    outputs : tuple of Output
-        The outputs.
-    names : tuple of str
-        Names of the parameters.
-    columns : tuple of str
-        The input columns; those with noise come first.
-    noise : ndarray of shape (q,)
-        Standard deviations of the first inputs, which are the steps of central differences.
+    The input columns with noise come first. Their standard deviations `noise` (q,) are the steps of
+    central differences.
     """
 
     outputs: tuple[Output, ...]

@@ -121,15 +121,7 @@ class Alarm:
 
 
 class Change(NamedTuple):
-    """Parameters before and after a change.
-
-    Attributes
-    ----------
-    before, after : ndarray of shape (d,)
-        Estimates.
-    before_errors, after_errors : ndarray of shape (d,)
-        Their standard errors.
-    """
+    """Estimates (d,) before and after a change, and their standard errors."""
 
     before: Array
     after: Array
@@ -138,23 +130,9 @@ class Change(NamedTuple):
 
 
 def alarm_of(change: Change, time: float, names: Sequence[str], watched: Array) -> Alarm:
-    """Return the alarm of a change.
+    """Return the alarm at a time [s]: the `watched` parameters, the most significant change first.
 
-    Parameters
-    ----------
-    change : Change
-        Parameters before and after the change.
-    time : float
-        Time of the alarm [s].
-    names : sequence of str
-        Names of the parameters.
-    watched : ndarray of shape (d,)
-        Not 0 for the parameters that the alarm watches.
-
-    Returns
-    -------
-    Alarm
-        The watched parameters, the most significant change first.
+    Not watched are parameters with a 0 in `watched` (d,).
     """
     errors = np.hypot(change.before_errors, change.after_errors)
     ratios = np.abs(change.after - change.before) / np.maximum(errors, SMALLEST)

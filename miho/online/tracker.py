@@ -286,15 +286,7 @@ FADING = 60.0
 
 
 class InformativeRows:
-    """The rows (n, width) with the largest information, of which old ones count less.
-
-    Parameters
-    ----------
-    most : int
-        Largest number of rows.
-    width : int
-        Length of a row.
-    """
+    """At most `most` rows (n, width) with the largest information, of which old ones count less."""
 
     def __init__(self, most: int, width: int) -> None:
         self._rows = np.zeros((most, width))

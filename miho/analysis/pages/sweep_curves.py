@@ -89,27 +89,12 @@ def problem_curves(
 ) -> dict[str, Any]:
     """The curves of one problem, ready for JSON; errors in the unit of `shown_unit`.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        Runs of the problem.
-    clock : Clock
-        Clock of the axis "seconds", which uses the runs that may be compared on it.
-    curves : DataFrame
-        Curves of the runs with finite errors.
-    best : float
-        Best known error in the unit of `runs`; NaN if there is none.
-    detail : Detail
-        Level of detail.
-
-    Returns
-    -------
-    dict
-        For each axis, the grid and the curves, methods in order of their final median error:
-        "method", "runs", "median", "low" and "high" (quantiles 0.1 and 0.9), "end" (median cost of
-        its runs) and "seeds", single runs evenly over their final errors. A curve is a text as from
-        `steps`. A run without a value counts as infinitely bad, so quantiles begin when they are
-        finite.
+    `curves` are of the runs with finite errors. `clock` is of the axis "seconds". `best` is the
+    best known error in the unit of `runs`, NaN if there is none. For each axis the result has the
+    grid and the curves, methods in order of their final median error: "method", "runs", "median",
+    "low" and "high" (quantiles 0.1 and 0.9), "end" (median cost of its runs) and "seeds", single
+    runs evenly over their final errors. A curve is a text as from `steps`. A run without a value
+    counts as infinitely bad, so quantiles begin when they are finite.
     """
     unit, factor = shown_unit(str(runs["unit"].iloc[0]))
     timed = runs[runs["id"].isin(clock.runs["id"])]

@@ -53,27 +53,10 @@ def known_from(
     transfer in the weave lowered the measured peaks, so a planner that subtracts it again is
     conservative.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the parameters files, as from `identify_parts`.
-    vehicle : Vehicle
-        Masses and dimensions of the car.
-    sensitivity : float
-        Load sensitivity of the peaks [-], which curves of an axle do not determine.
-    extended : bool, optional
-        Whether learned curves also replace the dyno above 20 % throttle.
-    dyno : float, optional
-        Torque on the dyno relative to the torque in the car [-].
-    seed : int, optional
-        Seed of the noise of the dyno.
-    wrong : Wrong, optional
-        Factors on the identified parameters; by default none.
-
-    Returns
-    -------
-    KnownCar
-        The car that a planner and a driver know.
+    The files are from `identify_parts`. `sensitivity` is the load sensitivity of the peaks [-],
+    which curves of an axle do not determine. If `extended`, learned curves also replace the dyno
+    above 20 % throttle. `dyno` is the torque on the dyno relative to the torque in the car [-], and
+    `seed` is of its noise. `wrong` are factors on the identified parameters.
     """
     off = Wrong() if wrong is None else wrong
     front, rear = (
