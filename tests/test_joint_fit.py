@@ -77,6 +77,23 @@ def test_lines_with_a_slope_in_common_are_one_regression() -> None:
     assert fit.problem.linear == ("a_left", "b", "a_right")
 
 
+def test_a_wrong_optimum_is_more_than_the_noise_of_the_parts() -> None:
+    """Parts with other inputs and noise; the noise is unknown if it differs within a part."""
+    s, noise = np.linspace(0, 1, 200), np.random.default_rng(1).standard_normal((2, 200))
+    sigma = np.linspace(0.1, 0.2, 200)
+    parts = {
+        "left": (decay, s, decay(s, 2, 3) + 0.1 * noise[0], 0.1),
+        "right": (lambda x, a: a * x, s, 4 * s + 2 * noise[1], 2.0),
+    }
+    start = {"a": 2.0, "b": 3.0}
+    problem = miho.fit_joint(parts, start=start, local="a").problem
+    right, wrong = problem.loss(np.array([[2.0, 3.0, 4.0], [2.4, 5.0, 4.0]]))
+    assert right < problem.noise < wrong
+    assert problem.row_parts is not None
+    parts["left"] = (*parts["left"][:3], sigma)
+    assert np.isinf(miho.fit_joint(parts, start=start, local="a").problem.noise)
+
+
 def test_deviations_of_parts_are_estimated() -> None:
     """Outputs in two units, one a thousand times the other: scales must not matter."""
     y = decay(t, 2.0, 1.5) + 0.02 * rng.standard_normal(30)

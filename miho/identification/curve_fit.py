@@ -178,15 +178,16 @@ class CurveFit(Remade, LeastSquaresProblem):
     def noise(self) -> float:
         """Upper estimate of the mean square of the noise, from the scatter of neighbouring points.
 
-        Infinite if it is unknown, for example with priors or weights.
+        Infinite if it is unknown, for example with priors, or with weights that differ within a
+        part of a joint fit.
         """
-        if not self._square or self.model.ordered:
+        if not self._square or self.model.ordered or self.prior is not None:
             return math.inf
-        if self.weights is not None or self.prior is not None:
-            return math.inf  # the scatter of neighbouring rows differs, or priors add to the loss
-        from miho.identification.irreducible import irreducible_square
+        from miho.identification.irreducible import irreducible_square, square_of_parts
 
-        return irreducible_square(self.inputs, self._output)
+        if self.weights is None:
+            return irreducible_square(self.inputs, self._output)
+        return square_of_parts(self.inputs, self._output, self.weights, self.row_parts)
 
     @property
     def row_inputs(self) -> tuple[Array, ...]:
@@ -195,6 +196,15 @@ class CurveFit(Remade, LeastSquaresProblem):
         This is the case for a system with memory, and for a robust loss.
         """
         return self.inputs if self._square and not self.model.ordered else ()
+
+    @property
+    def row_parts(self) -> Array | None:
+        """Number of the part of a joint fit that a row belongs to, (N,)."""
+        if self.weights is None:
+            return None
+        from miho.models.layout import PART
+
+        return self.dataset[PART] if PART in self.model.inputs else None
 
     def angles(self, thetas: Array) -> Array:
         """Ends of the range of each angle over the rows at thetas (n, d), in periods, (k, 2, n)."""

@@ -56,6 +56,25 @@ def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
     return (_high(_scatter(X[0], y)) if len(X) == 1 else irreducible_limit(X, y)) ** 2
 
 
+def square_of_parts(
+    inputs: Sequence[Array], y: Array, weights: Array, parts: Array | None
+) -> float:
+    """Upper limit of the mean square of the weighted irreducible error of the parts of a joint fit.
+
+    Infinite if weights differ within a part, whose neighbouring rows then scatter differently.
+    """
+    parts = np.zeros(y.size) if parts is None else parts
+    total = 0.0
+    for own in (parts == part for part in np.unique(parts)):
+        if np.ptp(weights[own]) > 0:
+            return math.inf
+        columns = [x[own] for x in inputs]
+        varying = [x for x in columns if np.ptp(x) > 0]  # a part may not read all columns
+        square = irreducible_square(varying or columns[:1], weights[own] * y[own])
+        total += float(own.mean()) * square
+    return total
+
+
 def irreducible_error(x: Array, y: Array) -> float:
     """Estimate the error that no smooth curve of one input can beat.
 

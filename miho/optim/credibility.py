@@ -132,7 +132,8 @@ def structured(oracle: Oracle, theta: Array) -> bool:
         residuals = oracle.residuals(theta, share)
     except UnusableValueError:
         return True
-    return has_structure(inputs, residuals, oracle.traits.order if share < 1 else None)
+    order = oracle.traits.order if share < 1 else None
+    return has_structure(inputs, residuals, order, oracle.traits.row_parts)
 
 
 def solves(state: MIHOGNState, oracle: Oracle) -> bool:

@@ -13,8 +13,6 @@ with probability 1 / (w + 1); usually better optima are met sooner, and the prob
 So one more descent ends in a better optimum with a probability of about w / (n (n - 1)), which must
 be small. In addition, descents must have returned to the best optimum, in number and as a share.
 
-`docs/evidence.md` compares this rule with a count of starts since the last improvement.
-
 References
 ----------
 .. [1] C. G. E. Boender, A. H. G. Rinnooy Kan, "Bayesian stopping rules for multistart global

@@ -45,6 +45,8 @@ class Problem(ABC):
     row_inputs : sequence of ndarray
         Input columns, (N,) each. Methods look for structure in the residuals along them; noise has
         none. Without inputs there is no such test.
+    row_parts : ndarray, optional
+        Number of each row's part in a joint problem, (N,). Each part is also tested alone.
     rows : int, optional
         Number of rows of the data, if a fidelity of m / rows uses the first m rows in the order of
         the problem. None for a problem without cheaper approximations.
@@ -67,11 +69,13 @@ class Problem(ABC):
         @property
         def row_inputs(self) -> Sequence[Array]: ...
         @property
+        def row_parts(self) -> Array | None: ...
+        @property
         def rows(self) -> int | None: ...
         @property
         def called_as(self) -> Sequence[Any]: ...
     else:
-        kernel = rows = None
+        kernel = rows = row_parts = None
         rounding, resolution, noise = 0.0, 0.0, math.inf
         row_inputs = called_as = ()
 
@@ -234,6 +238,11 @@ class Traits:
     def row_inputs(self) -> Sequence[Array]:
         """Input columns, along which the residuals of noise have no structure."""
         return self._problem.row_inputs
+
+    @property
+    def row_parts(self) -> Array | None:
+        """Number of the part of each row, None without parts."""
+        return self._problem.row_parts
 
     def cost(self, fidelity: float) -> float:
         """Cost of one evaluation at a fidelity, in full evaluations."""

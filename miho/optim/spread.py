@@ -30,7 +30,7 @@ class SpreadProblem(Problem):
     """
 
     declared: tuple[str, ...] = (
-        "name", "space", "rows", "rounding", "resolution", "noise", "row_inputs",
+        "name", "space", "rows", "rounding", "resolution", "noise", "row_inputs", "row_parts",
     )  # fmt: skip
 
     def __init__(self, problem: Problem, evaluations: Evaluations) -> None:

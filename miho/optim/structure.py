@@ -3,9 +3,7 @@
 If a search has missed a peak or a period, its residuals resemble their neighbours or contain a
 spectral line. Two statistics test this along each input and on a grid of each pair of inputs: the
 largest sum of residuals in a window, for windows of doubling sizes at all positions; and the
-largest ordinate of the periodogram [1]_. Residuals are divided by their median size and clipped at
-CLIPPED, so that outliers are no structure. Along an input with locally larger residuals, their
-local median size is the divisor.
+largest ordinate of the periodogram [1]_.
 
 References
 ----------
@@ -28,11 +26,9 @@ from miho.quantities import Array
 LEVEL = 1e-2
 """Largest probability that noise of equal size in all rows counts as structure: half of it for
 windows, half for lines, divided among the tests (Bonferroni). Windows overlap, and count as four
-times the number that fits side by side. Noise that grows or falls by a factor of 50 along 300 rows
-counts as structure in 0 to 5 % of data sets, because parameters moved by the large noise leave
-residuals where it is small."""
+times the number that fits side by side."""
 CLIPPED = 3.0
-"""Largest size of a residual, in standard deviations of normal noise."""
+"""Largest size of a residual, in standard deviations of normal noise; outliers are no structure."""
 FEWEST, MOST = 8, 20_000
 """Smallest number of rows that can show a structure, and largest number that is tested. Longer data
 are sampled; a test then takes some 10 ms, and 1 ms for each pair of inputs."""
@@ -46,20 +42,44 @@ FARTHEST = 300.0
 """Largest logarithm of a spread; real data do not reach it."""
 MEDIAN_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
+CELLS = 64
+"""Cells of the grid along each of two inputs: a window of one cell is 1/64 of a range."""
+SIDES = [2**k for k in range(6)]
+BOXES = [(h, w) for h in SIDES for w in SIDES if h * w > 1 and 1 / 2 <= h / w <= 2]
+"""Heights and widths of boxes of cells, of 2 to 1024 of the 4096."""
+FEWEST_IN_BOX = 4
+"""Number of rows whose clipped residuals have a nearly normal sum."""
 
 Order = NDArray[np.intp]
 """Rows (N,) in the order of an input."""
 
 
-def has_structure(inputs: Sequence[Array], residuals: Array, order: Order | None = None) -> bool:
+def has_structure(
+    inputs: Sequence[Array],
+    residuals: Array,
+    order: Order | None = None,
+    parts: Array | None = None,
+) -> bool:
     """Whether residuals (N,) have a structure along the inputs, (rows,) each, that noise lacks.
 
     The residuals belong to the first rows in this order. Residuals of priors come after all rows
-    and are left out.
+    and are left out. Each of several `parts` (rows,) of a joint fit is also tested alone.
     """
     places = np.arange(residuals.size) if order is None else order[: residuals.size]
     data = places < inputs[0].size
     inputs, residuals = [x[places[data]] for x in inputs], residuals[data]
+    tests = _tests(inputs, residuals)
+    if parts is not None:
+        own = parts[places[data]]
+        for rows in (own == part for part in np.unique(own)):
+            tests += _tests([x[rows] for x in inputs], residuals[rows])
+    windows = [window for of_test, _ in tests for window in of_test]
+    lines = [line for _, line in tests]
+    return any(min(logs) <= math.log(LEVEL / 2 / len(logs)) for logs in (windows, lines) if logs)
+
+
+def _tests(inputs: Sequence[Array], residuals: Array) -> list[tuple[list[float], float]]:
+    """Log probabilities of windows and lines along each input and on grids of two, for each."""
     sample = slice(None, None, -(-residuals.size // MOST))
     X = [x[sample] / 2 for x in inputs]  # the range of a half does not overflow
     spans = [np.ptp(x) for x in X]
@@ -67,15 +87,9 @@ def has_structure(inputs: Sequence[Array], residuals: Array, order: Order | None
     orders = [np.argsort(share, kind="stable") for share in shares]
     z = _standardised(residuals[sample], orders)
     if z.size < FEWEST or not z.any():
-        return False
+        return []
     tests = [_along(share, order, z) for share, order in zip(shares, orders, strict=True)]
-    if len(shares) > 1:
-        from miho.optim.structure_of_pairs import across
-
-        tests += [across(a, b, z) for a, b in combinations(shares, 2)]
-    windows = [window for of_test, _ in tests for window in of_test]
-    lines = [line for _, line in tests]
-    return any(min(logs) <= math.log(LEVEL / 2 / len(logs)) for logs in (windows, lines) if logs)
+    return tests + [_across(a, b, z) for a, b in combinations(shares, 2)]
 
 
 def _standardised(residuals: Array, orders: Sequence[Order]) -> Array:
@@ -141,19 +155,55 @@ def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
     windows, size = [], 2
     while size <= N // 4:
         largest = float(np.abs(sums[size:] - sums[:-size]).max())
-        windows.append(of_windows(largest / math.sqrt(size * (1 - size / N)), 4 * N / size))
+        windows.append(_of_windows(largest / math.sqrt(size * (1 - size / N)), 4 * N / size))
         size *= 2
     # Up to N / 2 periods in the range, by steps of half a period, on a grid of cells that are half
     # as wide as rows are apart.
     cells = np.bincount(np.rint(share * (2 * N - 1)).astype(np.int64), z, 2 * N)
-    return windows, of_lines(np.abs(np.fft.rfft(cells, 4 * N)[1 : N + 1]) ** 2 / N)
+    return windows, _of_lines(np.abs(np.fft.rfft(cells, 4 * N)[1 : N + 1]) ** 2 / N)
 
 
-def of_windows(largest: float, windows: float) -> float:
+def _across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
+    """Log probabilities on the grid of two inputs, in shares (N,) of their ranges."""
+    N = z.size
+    cell = [np.minimum((share * CELLS).astype(np.int64), CELLS - 1) for share in (a, b)]
+    flat = cell[0] * CELLS + cell[1]
+    total = np.bincount(flat, z, CELLS**2).reshape(CELLS, CELLS)
+    count = np.bincount(flat, minlength=CELLS**2).reshape(CELLS, CELLS).astype(float)
+    totals, counts = _integral(total.astype(float)), _integral(count)
+    windows = []
+    for height, width in BOXES:
+        inside = _boxes(counts, height, width)
+        full = inside >= FEWEST_IN_BOX
+        if full.any():
+            sums = np.abs(_boxes(totals, height, width)[full])
+            places = min(4 * CELLS**2 / (height * width), full.sum())
+            windows.append(_of_windows(float((sums / np.sqrt(inside[full])).max()), places))
+    # Plane waves of up to as many periods as there are rows along each side of a square, by steps
+    # of half a period.
+    most = min(CELLS, int(2 * math.sqrt(N)))
+    power = np.abs(np.fft.rfft2(total, (2 * CELLS, 2 * CELLS))) ** 2 / N
+    power[0, 0] = 0.0
+    waves = np.concatenate([power[: most + 1, : most + 1], power[-most + 1 :, : most + 1]])
+    return windows, _of_lines(waves)
+
+
+def _integral(cells: Array) -> Array:
+    """Sums of all cells above and to the left, (n + 1, m + 1)."""
+    return np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+
+
+def _boxes(sums: Array, height: int, width: int) -> Array:
+    """Sums of the boxes of this size at all positions, from the integral of the cells."""
+    inner = sums[height:, width:] + sums[:-height, :-width]
+    return np.asarray(inner - sums[height:, :-width] - sums[:-height, width:])
+
+
+def _of_windows(largest: float, windows: float) -> float:
     """Log probability that the largest of this number of normal variables is larger."""
     return float(math.log(2 * windows) + scipy.special.log_ndtr(-largest))
 
 
-def of_lines(power: NDArray[np.float64]) -> float:
+def _of_lines(power: NDArray[np.float64]) -> float:
     """Log probability that the largest of exponential variables is larger."""
     return float(math.log(power.size) - power.max())

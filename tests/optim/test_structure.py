@@ -84,6 +84,21 @@ def test_a_period_that_was_missed_is_a_structure(period: float) -> None:
     assert has_structure([x], np.sin(2 * np.pi * x / period) + rng.standard_normal(101))
 
 
+def test_each_part_is_tested_alone_and_all_together() -> None:
+    """A wave in one part, and a shift from one to the other; noise in parts has no structure."""
+    rng, x = np.random.default_rng(3), np.tile(np.linspace(0, 1, 100), 2)
+    part = np.repeat([0.0, 1.0], 100)
+    noise = rng.standard_normal((100, 200))
+    wave = np.where(part == 0, np.sin(120 * x), 0.0)
+    sizes = np.where(part == 0, 1.0, 4.0)  # of a sigma that is wrong
+    alone = [has_structure([part, x], wave + sizes * each, parts=part) for each in noise[:20]]
+    mixed = [has_structure([part, x], wave + sizes * each) for each in noise[:20]]
+    assert sum(alone) >= 15 > 5 >= sum(mixed)
+    shift = np.where(part == 0, 0.8, 0.0)
+    assert sum(has_structure([part, x], shift + each, parts=part) for each in noise[:20]) >= 15
+    assert sum(has_structure([part, x], each, parts=part) for each in noise) <= 4
+
+
 def test_a_wave_and_a_spot_are_structures_of_two_inputs() -> None:
     """Along each input alone neither is seen: the wave cancels, the spot is a few of 900 rows."""
     rng = np.random.default_rng(4)
