@@ -26,7 +26,7 @@ class Family:
     Parameters
     ----------
     kind : str
-        "smooth", "peaks", "periods", "kinks", "many minima" or "wide periods".
+        "smooth", "peaks", "periods", "kinks", "many minima", "wide periods" or "unlike parts".
     formula : callable
         A function of columns and then parameters.
     box : tuple of (low, high)
@@ -366,5 +366,42 @@ FAMILIES = {
             [np.sort(r.uniform(0, 60, int(r.integers(40, 150))))],
             [1, U(r, 0.5, 1.5), 1 / U(r, 0.04, 0.8), U(r, 0, 6)], 1.0,
         ),
+    ),
+    # Parts of different shapes that fit tolerably in each other's place, and lobes of a wavelet.
+    "a peak and a step": Family(
+        "unlike parts",
+        lambda x, m, a, c, w, h, d, k: m + a * _peak(x, c, w) + h * _step((x - d) / k),
+        ((-5, 5), (0, 50), (0, 100), (0.2, 40), (-30, 30), (0, 100), (0.3, 30)),
+        lambda r: (
+            _even(r, 80, 400, 100),
+            [0.3, U(r, 2, 8), U(r, 10, 90), _log(r, 1, 8), U(r, -8, 8), U(r, 10, 90),
+             _log(r, 0.5, 5)], 0.15,
+        ),
+    ),
+    "two peaks of different shapes": Family(
+        "unlike parts",
+        lambda x, m, a, c, w, b, d, v: m + a * _peak(x, c, w) + b * _hump(x, d, v),
+        ((-5, 5), (0, 50), (0, 100), (0.2, 40), (0, 30), (5, 95), (0.3, 30)),
+        lambda r: (
+            _even(r, 80, 400, 100),
+            [0.3, U(r, 2, 8), U(r, 10, 90), _log(r, 1, 8), U(r, 2, 8), U(r, 10, 90),
+             _log(r, 1, 8)], 0.15,
+        ),
+    ),
+    "the lesser of two curves": Family(
+        "unlike parts",
+        lambda x, v, k, m, s: np.minimum(v * x / (k + x), m + s * x),
+        ((0, 50), (0.01, 100), (-20, 20), (-5, 5)),
+        lambda r: (
+            _even(r, 40, 200, 50), [U(r, 8, 15), U(r, 2, 10), U(r, 4, 6), U(r, -0.02, 0.05)], 0.1
+        ),
+    ),
+    "a wavelet": Family(
+        "unlike parts",
+        lambda t, a, c, f: (
+            a * (1 - 2 * (np.pi * f * (t - c)) ** 2) * np.exp(-((np.pi * f * (t - c)) ** 2))
+        ),
+        ((-20, 20), (0, 10), (0.05, 20)),
+        lambda r: (_even(r, 100, 500, 10), [U(r, 2, 8), U(r, 1, 9), _log(r, 0.3, 4)], 0.15),
     ),
 }  # fmt: skip

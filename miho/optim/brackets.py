@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from miho.optim.space import Parameter, Space
-from miho.quantities import Array
+from miho.quantities import Array, Integers
 from miho.validate import positive_settings, whole, whole_settings
 
 if TYPE_CHECKING:
@@ -163,6 +163,29 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
     always = rng.integers(starts.shape[1], size=len(starts))
     redrawn[np.arange(len(starts)), always] = True
     return np.where(redrawn, starts, best)
+
+
+def alike(space: Space, nonlinear: Integers) -> list[list[int]]:
+    """Positions of nonlinear parameters with similar bounds, such as the widths of two peaks.
+
+    Empty unless there are two such groups: a single value is as easily drawn anew as exchanged.
+    """
+    groups: list[list[int]] = []
+    for k in nonlinear.tolist():
+        similar = [g for g in groups if _similar(space.parameters[g[0]], space.parameters[k])]
+        if similar:
+            similar[0].append(k)
+        else:
+            groups.append([k])
+    several = [group for group in groups if len(group) > 1]
+    return several if len(several) > 1 else []
+
+
+def _similar(a: Parameter, b: Parameter) -> bool:
+    """Whether units and scales are equal, and ranges share more than half of their union."""
+    shared = min(a.high, b.high) - max(a.low, b.low)
+    union = max(a.high, b.high) - min(a.low, b.low)
+    return (a.unit, a.scale) == (b.unit, b.scale) and shared > union / 2
 
 
 def by_scale(u: Array, space: Space, decades: int = 3) -> Array:

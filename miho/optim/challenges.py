@@ -1,7 +1,4 @@
-"""Starts of challenges to the best minimum of a search with several minima.
-
-A minimum that has missed a peak or a period usually has the other parameters right.
-"""
+"""Starts of challenges to the best minimum, which has most parameters right."""
 
 from __future__ import annotations
 
@@ -13,29 +10,32 @@ from numpy.typing import NDArray
 
 from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle
-from miho.optim.space import Space
 from miho.quantities import Array
 
-SHARE, MOST_POINTS, FEWEST_POINTS, MOST_STARTS = 1 / 8, 32, 4, 3
+SHARE, MOST_POINTS, FEWEST_POINTS, MOST_STARTS, EXCHANGES = 1 / 8, 32, 4, 3, 4
 """Largest share of the evaluations so far that a scan costs, largest and smallest number of points
-along a parameter, and largest number of starts."""
+along a parameter, largest number of starts, and number of exchanges."""
 GOLDEN = (5**0.5 - 1) / 2
 
 
-def exchanged(best: Array, space: Space, n: int, rng: np.random.Generator) -> Array:
-    """Starts (n, d) at the best minimum (d,), with values exchanged among parameters.
+def exchanged(state: MIHOGNState, oracle: Oracle) -> Array | None:
+    """Starts (k, d) at the best minimum with values exchanged among parameters, the best first.
 
-    A minimum may have the parameters of one peak at another one. Values are exchanged among the
-    groups of `Space.alike`, in every second start in the same way for position, height and width.
-    The first start has them in reverse order, as has each start that would be the minimum.
+    A minimum may have the parameters of one peak at another one. Values of parameters that are
+    `alike` are exchanged, in every second start in the same way for position and width, in the
+    first one in reverse order. The linear parameters are solved for.
     """
-    starts, keys = np.tile(best, (n, 1)), rng.random((n, best.size))
-    for group in space.alike:
+    box, rng = state.box, np.random.default_rng(state.bracket)  # repeatable
+    best = box.origin + box.width * state.minima.x[state.best_minimum]
+    starts, keys = np.tile(best, (EXCHANGES, 1)), rng.random((EXCHANGES, best.size))
+    for group in state.alike:
         group_keys = keys[:, group]
         group_keys[::2] = keys[::2, : len(group)]
         starts[:, group] = best[group][np.argsort(group_keys, axis=1)]
         starts[0, group] = best[group[::-1]]
-    return np.where((starts == best).all(axis=1, keepdims=True), starts[0], starts)
+    starts = np.where((starts == best).all(axis=1, keepdims=True), starts[0], starts)
+    x = np.clip((starts - box.origin) / box.width, 0.0, 1.0)
+    return _lowest(x, _losses(x, state, oracle))
 
 
 def scanned(state: MIHOGNState, oracle: Oracle) -> Array | None:
@@ -46,23 +46,24 @@ def scanned(state: MIHOGNState, oracle: Oracle) -> Array | None:
     between scans. None if there is no such point, or if the search is too short for a scan.
     """
     best, scans = state.minima.x[state.best_minimum], state.box.nonlinear
-    n = min(MOST_POINTS, int(SHARE * state.spent_before / scans.size))
+    cost = scans.size * (state.box.linear.size + 1)
+    n = min(MOST_POINTS, int(SHARE * state.spent_before / cost))
     if n < FEWEST_POINTS:
         return None
     points = _spaced(n, state)
     x = np.tile(best, (scans.size, n, 1))
     x[np.arange(scans.size), :, scans] = points
-    losses = oracle(_thetas(x.reshape(-1, best.size), state)).reshape(scans.size, n)
+    x = x.reshape(-1, best.size)
+    losses = _losses(x, state, oracle).reshape(scans.size, n)
     apart = [_apart(points, best[k]) for k in scans]
-    return _lowest(x.reshape(-1, best.size), np.where(_low(losses) & apart, losses, np.inf).ravel())
+    return _lowest(x, np.where(_low(losses) & apart, losses, np.inf).ravel())
 
 
 def spectrum(state: MIHOGNState, oracle: Oracle) -> Array | None:
     """Lowest points of the loss along each parameter of a period, (k, d).
 
-    As `scanned`, but values are a period apart, each has several phases, and the linear parameters
-    are solved for, as in a periodogram. Values are farther apart if the scan would cost more than
-    the search so far.
+    As `scanned`, but values are a period apart and each has several phases, as in a periodogram.
+    Values are farther apart if the scan would cost more than the search so far.
     """
     best, periods = state.minima.x[state.best_minimum], state.periods
     cost = sum(period.passed[-1] * len(period.turns) for period in periods.values())
@@ -84,6 +85,13 @@ def spectrum(state: MIHOGNState, oracle: Oracle) -> Array | None:
     return _lowest(x, np.concatenate(lowest))
 
 
+def _losses(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
+    """Losses (n,) at points x (n, d) after a solution for their linear parameters, if any."""
+    if state.box.linear.size:
+        return solve_linear(x, state, oracle)
+    return np.asarray(oracle(_thetas(x, state)))
+
+
 def solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
     """Losses (n,) at points x (n, d) after a solution for their linear parameters, set in x.
 
@@ -93,12 +101,15 @@ def solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
     theta, low, width = _thetas(x, state), box.low[linear], (box.high - box.low)[linear]
     shares = (theta[:, linear] - low) / width  # of the ranges, also on the log scale
     far = np.where(shares <= 0.5, 1.0, 0.0)  # wide differences are more accurate
+    probes = np.repeat(x[:, None], linear.size + 1, axis=1)
+    probes[:, np.arange(linear.size) + 1, linear] = far
+    thetas = _thetas(probes.reshape(-1, x.shape[1]), state).reshape(probes.shape)
+    if oracle.workers.spreads:
+        left = thetas[len(scan.solved) :].reshape(-1, x.shape[1])
+        oracle.workers.ahead(left, kind="residuals")
     for k in range(len(scan.solved), len(x)):
-        probes = np.tile(x[k], (linear.size + 1, 1))
-        probes[np.arange(linear.size) + 1, linear] = far[k]
-        thetas = _thetas(probes, state)
-        while len(scan.residuals) < len(thetas):
-            scan.residuals.extend(oracle.residual_rows(thetas[len(scan.residuals) :]))
+        while len(scan.residuals) < linear.size + 1:
+            scan.residuals.extend(oracle.residual_rows(thetas[k, len(scan.residuals) :]))
         scan.solved.append(_solution(scan.residuals, shares[k], far[k]))
         scan.residuals.clear()
     losses = np.array([loss for loss, _ in scan.solved])
@@ -115,6 +126,8 @@ def _solution(residuals: Sequence[Array], values: Array, ends: Array) -> tuple[f
 
     `residuals` (p + 1, N) are at the `values` (p,), and with one parameter each at its end (p,).
     """
+    if not all(row.size and np.isfinite(row).all() for row in residuals):
+        return math.inf, values
     with np.errstate(over="ignore", invalid="ignore"):
         columns = (np.array(residuals)[1:] - residuals[0]).T / (ends - values)
         if not np.isfinite(columns).all():

@@ -65,8 +65,9 @@ def is_tested(state: MIHOGNState, oracle: Oracle) -> bool:
 def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     """Test the residuals of an optimum for structure, and prepare the starts of its challenge.
 
-    The first challenge starts at the neighbours of the optimum. If there are other minima, or a
-    period, every second one from then on scans parameters. The others draw some coordinates anew.
+    The first challenge exchanges values of parameters that are alike, the next one starts at the
+    neighbours of the optimum. If there are other minima, or a period, every second one from then on
+    scans parameters. The others draw some coordinates anew.
     """
     if not state.challenged:
         return
@@ -78,13 +79,14 @@ def prepare_challenge(state: MIHOGNState, oracle: Oracle) -> None:
     turn = float(state.minima.loss[best]), state.passed
     if not state.challenged or state.prepared == turn:
         return
-    state.near, after = None, state.passed - bool(state.space.alike)
+    state.near, after = None, state.passed - bool(state.alike)
     if after == 0:
         state.near = _neighbours(state, oracle)
-    elif after > 0 and after % 2 and (state.periods or state.minima.loss.size > 1):
-        from miho.optim.challenges import scanned, spectrum
+    elif after < 0 or (after % 2 and (state.periods or state.minima.loss.size > 1)):
+        from miho.optim.challenges import exchanged, scanned, spectrum
 
-        state.near = (spectrum if after == 1 and state.periods else scanned)(state, oracle)
+        scan = spectrum if after == 1 and state.periods else scanned
+        state.near = (exchanged if after < 0 else scan)(state, oracle)
     state.prepared = turn
 
 

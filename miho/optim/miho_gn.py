@@ -123,8 +123,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         search ends: the first a standard deviation away along each parameter, the others at some of
         its coordinates, or, if there are several optima, at the lowest points along each parameter
         or, for a model with a period, along the period.
-        If groups of parameters have equal bounds, one more bracket starts with their values
-        exchanged. If brackets hardly return to the best optimum, one in three challenges it
+        If groups of nonlinear parameters have similar bounds, one more bracket starts with their
+        values exchanged. If brackets hardly return to the best optimum, one in three challenges it
         earlier.
 
     Raises
@@ -259,10 +259,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         """Starts near the best minimum, some of them from `starts` (n, d), and their level."""
         best, last = state.minima.x[state.best_minimum], state.level_rows.size - 1
         coordinates = state.box.origin + state.box.width * best
-        if state.passed == 0 and state.space.alike:
-            from miho.optim.challenges import exchanged
-
-            return exchanged(coordinates, state.space, self.min_candidates, state.rng), last
         if state.near is not None:
             return state.box.origin + state.box.width * state.near, last
         return around(coordinates, starts, state.rng), 0
@@ -354,7 +350,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if len(oracle.starts.descents) >= ENOUGH:
             agreement = oracle.starts.agreement(oracle.best)
             agreed = agreement.enough and credible(self, state, oracle, agreement)
-        challenges = self.challenges + bool(state.space.alike)
+        challenges = self.challenges + bool(state.alike)
         enough = agreed and state.passed >= challenges and is_tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.traits.rounding, oracle.traits.resolution)
         state.challenged = not enough and (agreed or _is_lonely(state, oracle))

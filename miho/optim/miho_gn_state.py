@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.kernel import Rows
 from miho.compiled.phases import CLOSED, SCREEN
-from miho.optim.brackets import DRAWS, Brackets, check_brackets
+from miho.optim.brackets import DRAWS, Brackets, alike, check_brackets
 from miho.optim.space import Space
 from miho.quantities import Array, Integers
 from miho.validate import one_of, positive_settings, whole, whole_settings
@@ -162,6 +162,11 @@ class MIHOGNState:
     def __getstate__(self) -> dict[str, Any]:
         """All fields but `blocks`, which has addresses of this process."""
         return vars(self) | {"blocks": None}
+
+    @cached_property
+    def alike(self) -> list[list[int]]:
+        """Positions of nonlinear parameters whose values a challenge exchanges."""
+        return alike(self.space, self.box.nonlinear)
 
     @property
     def best_minimum(self) -> int:

@@ -274,18 +274,6 @@ class Space:
         return self.encode(self.low), self.encode(self.high)
 
     @cached_property
-    def alike(self) -> list[list[int]]:
-        """Positions of parameters with equal units and bounds, such as the widths of two peaks.
-
-        Empty unless there are two such groups: a single value is as easily drawn anew as exchanged.
-        """
-        groups: dict[tuple[str, str, float, float], list[int]] = {}
-        for k, p in enumerate(self.parameters):
-            groups.setdefault((p.unit, p.scale, p.low, p.high), []).append(k)
-        several = [group for group in groups.values() if len(group) > 1]
-        return several if len(several) > 1 else []
-
-    @cached_property
     def scales(self) -> dict[int, tuple[Array, ...]]:
         """Cache of `miho.optim.brackets.by_scale`, by decades."""
         return {}
