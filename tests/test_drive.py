@@ -256,7 +256,8 @@ def test_a_part_comes_from_its_parameters_file(tmp_path: Path) -> None:
     _, theta = identified_parts(cfg, ["brake_torque_front"])["brake_torque_front"]
     assert theta.tolist() == [4e-4, 7e4]
     wrong = composed([IMS, f"+drive.parameters.brakes={path}"])
-    with pytest.raises(ConfigError, match=r"drive\.parameters\.brakes: is unknown; allowed are lf"):
+    unknown = r"drive\.parameters\.brakes: is unknown; did you mean brake_step\? allowed are lf"
+    with pytest.raises(ConfigError, match=unknown):
         known_car(wrong, Vehicle.from_settings(av21()))
 
 
