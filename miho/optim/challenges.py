@@ -15,6 +15,8 @@ from miho.quantities import Array
 SHARE, MOST_POINTS, FEWEST_POINTS, MOST_STARTS, EXCHANGES = 1 / 8, 32, 4, 3, 4
 """Largest share of the evaluations so far that a scan costs, largest and smallest number of points
 along a parameter, largest number of starts, and number of exchanges."""
+AT_ONCE = 1 << 15
+"""Largest number of residuals of a scan that are evaluated at once, unless a point has more."""
 GOLDEN = (5**0.5 - 1) / 2
 
 
@@ -103,15 +105,16 @@ def solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
     far = np.where(shares <= 0.5, 1.0, 0.0)  # wide differences are more accurate
     probes = np.repeat(x[:, None], linear.size + 1, axis=1)
     probes[:, np.arange(linear.size) + 1, linear] = far
-    thetas = _thetas(probes.reshape(-1, x.shape[1]), state).reshape(probes.shape)
+    thetas, each = _thetas(probes.reshape(-1, x.shape[1]), state), linear.size + 1
     if oracle.workers.spreads:
-        left = thetas[len(scan.solved) :].reshape(-1, x.shape[1])
-        oracle.workers.ahead(left, kind="residuals")
+        oracle.workers.ahead(thetas[len(scan.solved) * each :], kind="residuals")
+    batch = max(each, AT_ONCE // max(1, int(state.level_rows[-1])))
     for k in range(len(scan.solved), len(x)):
-        while len(scan.residuals) < linear.size + 1:
-            scan.residuals.extend(oracle.residual_rows(thetas[k, len(scan.residuals) :]))
-        scan.solved.append(_solution(scan.residuals, shares[k], far[k]))
-        scan.residuals.clear()
+        while len(scan.residuals) < each:
+            place = k * each + len(scan.residuals)
+            scan.residuals.extend(oracle.residual_rows(thetas[place : place + batch]))
+        scan.solved.append(_solution(scan.residuals[:each], shares[k], far[k]))
+        del scan.residuals[:each]
     losses = np.array([loss for loss, _ in scan.solved])
     solved = np.reshape([solution for _, solution in scan.solved], far.shape)
     scan.solved.clear()

@@ -93,7 +93,7 @@ class Blocks(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """Loss and linear parameters at the points of a scan, and residuals at the next point."""
+    """Loss and linear parameters at the points of a scan, and residuals at the next points."""
 
     solved: list[tuple[float, Array]]
     residuals: list[Array]
