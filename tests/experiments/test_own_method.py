@@ -126,7 +126,7 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
         (
             "Wlak",
             {},
-            r"_target_: .*walk.py has no class Wlak .*miho.Optimizer; it has Walk, Other, Idle, Broken$",
+            r"_target_: .*walk.py has no class Wlak .*; it has Walk, Other, Idle, Broken$",
         ),
         ("MIHOGN", {}, "has no class MIHOGN"),
         ("Path", {}, "has no class Path"),
@@ -134,7 +134,7 @@ def test_an_edit_of_the_file_or_of_a_setting_makes_another_run(file: Path) -> No
         (
             None,
             {},
-            r"optimizer._target_: is missing; name a class of .*walk.py: Walk, Other, Idle, Broken$",
+            r"optimizer._target_: is missing; name a class of .*: Walk, Other, Idle, Broken$",
         ),
         ("Bare", {}, r"_target_: Bare in .*walk.py lacks run"),
         ("os.system", {}, "has no class os.system"),
