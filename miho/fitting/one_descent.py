@@ -30,8 +30,7 @@ def descended(
         from miho.optim.gauss_newton_descent import descended as descended_by_machine
 
         theta = _better(problem, descended_by_machine(rows, problem.space, theta), theta)
-    theta = closed_form(problem, theta)
-    descent = refit(spread(problem, evaluations), theta)
+    descent = refit(spread(problem, evaluations), closed_form(problem, theta))
     if not math.isfinite(descent.cost):
         raise ValueError(f"{title(problem)}: the loss at the start is not finite; give another one")
     called = by_calls(problem, descent.theta[None], evaluations)

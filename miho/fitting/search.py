@@ -84,8 +84,7 @@ def searched(
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
         sys.stderr.write(f"miho: {name}: the search failed, its best is taken: {reason}\n")
-    theta = closed_form(problem, theta)
-    descent = refit(spread(problem, evaluations), theta)
+    descent = refit(spread(problem, evaluations), closed_form(problem, theta))
     if not math.isfinite(descent.cost):  # possible on rows that the search did not evaluate
         raise ValueError(
             f"{name}: no finite value was found on all rows; narrow the bounds or increase a budget"
@@ -105,8 +104,8 @@ def searched(
 
 
 def closed_form(problem: CurveFit, theta: Array) -> Array:
-    """The optimum of a model that is linear in all parameters, or `theta` if it is no worse."""
-    if set(problem.linear) != set(problem.space.names):
+    """The optimum of a formula that is linear in all parameters, or `theta` if it is no worse."""
+    if set(problem.linear) != set(problem.space.names) or expensive_leaves(problem.model):
         return theta
     from miho.identification.conclusion import linear_optimum
 

@@ -79,13 +79,17 @@ def linear_optimum(problem: CurveFit) -> tuple[Array, float] | None:
     -------
     tuple of (ndarray of shape (d,), float), or None
         The global optimum in the box, in the units of the parameters, and its loss, in the squared
-        unit of the output. None if the problem is not linear in all its parameters.
+        unit of the output. None if the problem is not linear in all its parameters, or if the model
+        has no value at an end of a range.
     """
     space = problem.space
     if set(problem.linear) != set(space.names):
         return None
     start = (space.low + space.high) / 2
-    optimum = solve_linear_part(problem.residuals, start, range(len(space)), space)
+    try:
+        optimum = solve_linear_part(problem.residuals, start, range(len(space)), space)
+    except ValueError:  # as when it is not finite
+        return None
     if optimum is None:
         return None
     return optimum.theta, float(problem.loss(optimum.theta[None])[0])

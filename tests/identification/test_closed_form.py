@@ -113,3 +113,24 @@ def test_powers_of_calendar_years_are_fitted_as_powers_of_scaled_years(degree: i
     assert value == pytest.approx(expected, abs=0.05 * reach.min())
     assert high - low == pytest.approx(2 * reach, rel=0.05)
     assert "linear in all parameters" in fit.optimum
+
+
+def test_a_linear_function_that_raises_at_an_end_of_a_range_is_fitted() -> None:
+    def broken(x: NDArray[np.float64], *, a: float, b: float) -> NDArray[np.float64]:
+        if abs(a) > 9:
+            raise RuntimeError("too far")
+        return float(a) + float(b) * x
+
+    x = np.linspace(-1, 1, 20)
+    fit = miho.fit(FunctionModel(broken, linear=("a", "b")), x, 1 + 2 * x, start={"a": 0, "b": 0})
+    assert fit.values == pytest.approx({"a": 1, "b": 2})
+    assert "linear" not in fit.optimum
+
+
+def test_the_end_of_a_search_is_not_its_closed_form() -> None:
+    x = np.linspace(-1, 1, 20)
+    fit = miho.fit(
+        lambda x, a, b: a + b * x, x, 1 + 2 * x**2, {"a": (-9, 9), "b": (-9, 9)},
+        method="random", budget=miho.Budget(20),
+    )  # fmt: skip
+    assert fit.problem.loss(fit.run[None])[0] > 1.01 * fit.problem.loss(fit.theta[None])[0]
