@@ -58,6 +58,8 @@ class Linearised:
         Dependence of the errors on neighbouring rows. Both covariances allow for it, the sandwich
         also for innovations of changing spread, and `intervals` and `reach` use separate degrees of
         freedom for each quantity.
+    singular : float
+        Largest fraction of the largest singular value that counts as 0.
 
     References
     ----------
@@ -78,6 +80,7 @@ class Linearised:
     unidentifiable: NDArray[np.bool_]
     noise_known: bool = False
     dependence: Dependence | None = None
+    singular: float = SINGULAR
 
     @cached_property
     def covariance(self) -> Array:
@@ -280,7 +283,8 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
             "uncertainty needs more rows than parameters, or as many and their sigma"
         )
     exact = problem.model.jacobian_cost is None and set(problem.linear) == set(problem.space.names)
-    root = inverse_root(J, np.flatnonzero(~at_bound), EXACT if exact else SINGULAR)
+    singular = EXACT if exact else SINGULAR
+    root = inverse_root(J, np.flatnonzero(~at_bound), singular)
     psi, stiffness = _influence(problem, errors)
     variance, freedom = _variance(problem, psi, stiffness, root.basis, count)
     spread, events = _spread(problem, root.basis, psi / stiffness, float(np.sqrt(variance)))
@@ -299,6 +303,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
         null_directions=root.null,
         unidentifiable=np.asarray(root.moved.any(axis=0)),
         noise_known=problem.noise_known,
+        singular=singular,
     )
     if not neighbours or events or problem.prior is not None:
         return at
@@ -310,7 +315,7 @@ def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
 
     Errors are independent and have the standard deviation of `at`.
     """
-    root = inverse_root(J, np.flatnonzero(~at.at_bound))
+    root = inverse_root(J, np.flatnonzero(~at.at_bound), at.singular)
     sums = at.noise**2 * np.eye(root.half.shape[1])
     return replace(
         at,
@@ -320,6 +325,7 @@ def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
         freedom=at.freedom if at.events else at.freedom + more,
         null_directions=root.null,
         unidentifiable=np.asarray(root.moved.any(axis=0)),
+        dependence=None,
     )
 
 

@@ -312,3 +312,23 @@ def test_a_fit_is_designed_for_as_its_report_is() -> None:
     fit = miho.fit(lambda x, a: a * x, x, y, {"a": (0, 5)})
     of_fit, of_report = (optimal_design(of, {"x": x}, 3) for of in (fit, fit.report()))
     assert str(of_fit) == str(of_report)
+
+
+def test_a_polynomial_in_calendar_years_is_designed_for() -> None:
+    x = np.linspace(1990, 2020, 60)
+    y = ((x - 2005) / 15) ** 4 + 0.1 * np.random.default_rng(0).standard_normal(x.size)
+    fit = miho.fit(
+        lambda x, a, b, c, d, e: a + b * x + c * x**2 + d * x**3 + e * x**4,
+        x, y, dict.fromkeys("abcde", (-1e12, 1e12)),
+    )  # fmt: skip
+    half = optimal_design(fit, {"x": np.linspace(1980, 2030, 9)}, 3).table
+    assert (half["expected half width"] < half["present half width"]).all()
+
+
+def test_the_expected_uncertainty_is_for_independent_errors() -> None:
+    x, rng = np.linspace(0, 5, 200), np.random.default_rng(0)
+    errors = scipy.signal.lfilter([0.05], [1, -0.9], rng.standard_normal(x.size))
+    fit = miho.fit(lambda x, a, b: a * np.exp(-b * x), x, 2 * np.exp(-x) + errors,
+                   {"a": (0, 5), "b": (0, 5)})  # fmt: skip
+    assert fit.uncertainty.dependence is not None
+    assert optimal_design(fit, {"x": x[::20]}, 2).expected.dependence is None
