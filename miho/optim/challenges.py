@@ -107,7 +107,8 @@ def solve_linear(x: Array, state: MIHOGNState, oracle: Oracle) -> Array:
     probes[:, np.arange(linear.size) + 1, linear] = far
     thetas, each = _thetas(probes.reshape(-1, x.shape[1]), state), linear.size + 1
     if oracle.workers.spreads:
-        oracle.workers.ahead(thetas[len(scan.solved) * each :], kind="residuals")
+        known = len(scan.solved) * each + len(scan.residuals)
+        oracle.workers.ahead(thetas[known:], kind="residuals")
     batch = max(each, AT_ONCE // max(1, int(state.level_rows[-1])))
     for k in range(len(scan.solved), len(x)):
         while len(scan.residuals) < each:
