@@ -313,8 +313,8 @@ def space_of(
                 ends = at / reach, at * reach
             # A model is tried near the start: far away, a simulation may take very long.
             spread = NEAR if settings.get("scale") == "log" else NEAR * (abs(at) or 1.0)
-            given = {key: value for key, value in settings.items() if key not in open_ends}
-            settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **given}
+            stated = {key: value for key, value in settings.items() if key not in open_ends}
+            settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **stated}
         elif not settings and name in model.defaults:
             settings = {"fixed": model.defaults[name]}
         elif not settings:

@@ -327,7 +327,7 @@ class Fit(Remade):
         x : array_like, tuple, mapping or DataFrame
             Input columns, (N,) each, as in `miho.fit`; for a tire in ISO-W signs.
         level : float, optional
-            Confidence level between 0 and 1, by default that of the fit, 0.95.
+            Confidence level between 0 and 1; the level of the fit, 0.95, by default.
 
         Returns
         -------
